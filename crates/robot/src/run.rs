@@ -273,7 +273,7 @@ impl<'a> Robot<'a> {
 
     /// Reads the IMU up to the first reading that is not before a frame, on the clocks of both sensors.
     fn read_imu(&mut self, frame_ns: i64) -> Result<(), SensorError> {
-        let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
+        let until_ns = frame_ns.max(self.last_row_ns(frame_ns));
         while self.events.imu.ends_before(until_ns) {
             let Some((reading, checked)) = self.events.next_reading(frame_ns)? else { break };
             self.outputs.each(|output| output.reading(&reading));
@@ -282,9 +282,9 @@ impl<'a> Robot<'a> {
         Ok(())
     }
 
-    /// The time of a frame on the clock of the IMU, nanoseconds.
-    fn imu_stamp_ns(&self, frame_ns: i64) -> i64 {
-        self.supervisor.estimator().map_or(frame_ns, |estimator| estimator.imu_stamp_ns(frame_ns))
+    /// The time of the last row of a frame on the clock of the IMU, nanoseconds. The frame came after it was taken.
+    fn last_row_ns(&self, frame_ns: i64) -> i64 {
+        self.supervisor.estimator().map_or(frame_ns, |estimator| estimator.last_row_ns(frame_ns))
     }
 
     /// Drops readings that neither the front end nor a new initialization needs.
@@ -422,7 +422,7 @@ impl<'a> Robot<'a> {
 
     /// Hands the IMU readings up to the first one after the frame to the estimator.
     fn feed_imu(&mut self, frame_ns: i64) {
-        let until_ns = self.imu_stamp_ns(frame_ns);
+        let until_ns = self.last_row_ns(frame_ns);
         while let Some(reading) = self.events.imu.hand_out(until_ns) {
             if let Err(error) = self.supervisor.imu(reading)
                 && let Some(unlogged) = self.refused.note()

@@ -2,7 +2,7 @@
 
 use super::Estimator;
 use crate::KeyframeId;
-use crate::calibration::{CalibratedCamera, Calibration};
+use crate::calibration::{CalibratedCamera, Calibration, row_reach_ns};
 use crate::config::EstimatorConfig;
 use crate::motion::{Motion, MotionPredictor};
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
@@ -28,6 +28,12 @@ impl Estimator {
     /// [`time_update`](Self::time_update) needs IMU samples up to there.
     pub fn imu_stamp_ns(&self, image_stamp_ns: i64) -> i64 {
         image_stamp_ns + (self.state.calibration.time_offset * 1e9).round() as i64
+    }
+
+    /// Time of the last row of an image by the IMU's clock, nanoseconds: where a [`time_update`](Self::time_update) has IMU samples up to
+    /// there, it extrapolates no motion. With global shutters the same as [`Self::imu_stamp_ns`].
+    pub fn last_row_ns(&self, image_stamp_ns: i64) -> i64 {
+        self.imu_stamp_ns(image_stamp_ns) + row_reach_ns(&self.state.calibration.cameras)
     }
 
     /// Estimated cameras and time offset.

@@ -96,6 +96,7 @@ impl Estimator {
         let common_dim = held.and_then(HeldKeyframes::common_dim);
         let answer =
             restricted.without_invalid(&|id| held.and_then(|held| held.map_covariance(id)), common_dim);
+        let answer = self.seen_from_the_image(clone, answer);
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),

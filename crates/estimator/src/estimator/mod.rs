@@ -10,6 +10,7 @@ mod outlier_test;
 mod rescue;
 mod row_motion;
 pub mod status;
+mod still_pixels;
 mod time_update;
 mod track_update;
 mod wheel_update;

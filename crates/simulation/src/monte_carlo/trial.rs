@@ -241,7 +241,7 @@ impl Seed<'_> {
                 break;
             }
             player.next_frame += 1;
-            let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
+            let until_ns = player.estimator.last_row_ns(stamp_ns);
             let due = readings[player.next_reading..].partition_point(|reading| reading.stamp_ns <= until_ns);
             // With the reading after the image: between two of them it is interpolated.
             let end = (player.next_reading + due + 1).min(readings.len());
@@ -385,7 +385,11 @@ impl<'a> Player<'a> {
 
     fn map_update(&mut self, queried: CloneId, answer: &Answer) -> Result<(), EstimatorError> {
         let before = self.estimator.global_from_imu();
-        let report = self.estimator.map_update(queried, &answer.answer)?;
+        let mut seen = answer.answer.clone();
+        for landmark in &mut seen.landmarks {
+            landmark.pixel = self.estimator.still_pixel(queried, &landmark.pixel);
+        }
+        let report = self.estimator.map_update(queried, &seen)?;
         self.estimator.unpin(queried);
         let is_alarm = self.estimator.alarms().iter().any(|alarm| matches!(alarm, Alarm::Drift(_)));
         if is_alarm {
