@@ -24,8 +24,8 @@ pub struct CameraSensor {
     pub imu_from_camera: Pose,
     /// Images a second.
     pub rate_hz: f64,
-    /// Time from the readout of the first row to that after the last one, seconds: 0 for a global shutter. The stamp of an image is
-    /// the time of its middle row.
+    /// Time from the readout of the first row to that after the last one, seconds: 0 for a global shutter, negative where images
+    /// are turned by 180 degrees after they were read out. The stamp of an image is the time of its middle row.
     pub readout_s: f64,
 }
 

@@ -248,7 +248,8 @@ pub(crate) fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), 
 /// Longest readout time of an image, seconds: a longer one is in other units.
 const MAX_READOUT_S: f64 = 0.2;
 
-/// Readout time of an image, seconds, by the time from row to row.
+/// Readout time of an image, seconds, by the time from row to row; negative where images are turned by 180 degrees after they were
+/// read out.
 pub(crate) fn readout_time(
     path: &Path,
     name: &str,
@@ -256,12 +257,12 @@ pub(crate) fn readout_time(
     camera: &Camera,
 ) -> Result<f64, CalibrationError> {
     let readout_s = line_delay_s * f64::from(camera.height);
-    if (0.0..MAX_READOUT_S).contains(&readout_s) {
+    if readout_s.abs() < MAX_READOUT_S {
         return Ok(readout_s);
     }
     let rows = camera.height;
     let problem = format!(
-        "{name} is {line_delay_s}, but is the time from row to row in seconds: for {rows} rows from 0 to {}",
+        "{name} is {line_delay_s}, but is the time from row to row in seconds: for {rows} rows below {}",
         MAX_READOUT_S / f64::from(rows)
     );
     Err(CalibrationError::entry(path, problem))

@@ -40,8 +40,9 @@ impl<'a> Exposure<'a> {
         let mut pixel = camera.project(&self.in_camera(sensor, landmark)).ok();
         if let Some((trajectory, stamp_ns)) = self.moving.filter(|_| sensor.readout_s != 0.0) {
             for _ in 0..ROW_STEPS {
-                let row = pixel?.y;
-                let after_s = ((row + 0.5) / f64::from(camera.height) - 0.5) * sensor.readout_s;
+                // Beyond the first and the last row there is none.
+                let part = ((pixel?.y + 0.5) / f64::from(camera.height)).clamp(0.0, 1.0);
+                let after_s = (part - 0.5) * sensor.readout_s;
                 let world_from_imu = trajectory.at(stamp_ns + (after_s * 1e9).round() as i64).pose;
                 let row = Self { world_from_imu, moving: None };
                 pixel = camera.project(&row.in_camera(sensor, landmark)).ok();

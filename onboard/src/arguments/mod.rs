@@ -144,7 +144,7 @@ pub struct RobotArguments {
     ///
     /// The stamp of an image is that of its middle row. An unknown time is found by --calibrate readout-time, from 0 or from what is
     /// given here; the result is in summary.json.
-    #[arg(long, value_name = "SECONDS[,SECONDS]", value_delimiter = ',', help_heading = ESTIMATOR)]
+    #[arg(long, value_name = "SECONDS[,SECONDS]", value_delimiter = ',', allow_hyphen_values = true, help_heading = ESTIMATOR)]
     pub readout_time: Vec<f64>,
     /// Do not re-linearize map updates at the PnP solution (the paper's filter without R)
     #[arg(long, help_heading = ESTIMATOR)]

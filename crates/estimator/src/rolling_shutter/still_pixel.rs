@@ -10,13 +10,19 @@ use crate::imu::ImuBuffer;
 use crate::propagation::ImuState;
 use nalgebra::{Vector2, Vector3};
 
-/// The turn about the time of an image by the readings of the gyroscope alone, whose bias is not known yet.
+/// The turn about the time of an image by the readings of the gyroscope alone.
 ///
 /// # Arguments
 /// * `stamp_ns`: of the image, by the IMU's clock.
 /// * `reach_ns`: how far rows are from it, nanoseconds.
-pub fn turn_around(imu: &ImuBuffer, stamp_ns: i64, reach_ns: i64) -> MotionAround {
-    let state = ImuState::at_rest(Vector3::zeros(), Vector3::zeros());
+/// * `gyroscope_bias`: rad/s; one that is not known moves a pixel by less than a tenth.
+pub fn turn_around(
+    imu: &ImuBuffer,
+    stamp_ns: i64,
+    reach_ns: i64,
+    gyroscope_bias: &Vector3<f64>,
+) -> MotionAround {
+    let state = ImuState::at_rest(*gyroscope_bias, Vector3::zeros());
     let (before, after) = (
         imu.interval(stamp_ns - reach_ns, stamp_ns, 2 * reach_ns),
         imu.interval(stamp_ns, stamp_ns + reach_ns, 2 * reach_ns),
@@ -65,7 +71,7 @@ mod tests {
             let stamp_ns = k * 5_000_000;
             imu.push(ImuSample { stamp_ns, gyroscope: rate, accelerometer: Vector3::z() }).unwrap();
         }
-        let motion = turn_around(&imu, 50_000_000, 15_000_000);
+        let motion = turn_around(&imu, 50_000_000, 15_000_000, &Vector3::zeros());
         let in_image = Vector3::new(0.4, -0.45, 1.0);
         let global = calibrated.camera.project(&in_image).unwrap();
         let mut rolling = global;

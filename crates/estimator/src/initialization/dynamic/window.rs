@@ -97,7 +97,7 @@ fn without_turn(
     reach_ns: i64,
 ) -> Vec<WindowImage> {
     let still = |image: &WindowImage| {
-        let motion = turn_around(imu, image.stamp_ns, reach_ns);
+        let motion = turn_around(imu, image.stamp_ns, reach_ns, &Vector3::zeros());
         let mut still = image.clone();
         for track in &mut still.tracks {
             if let Some(calibrated) = cameras.get(usize::from(track.camera)) {
