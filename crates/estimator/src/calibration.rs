@@ -33,6 +33,7 @@ pub struct CalibratedCamera {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 pub struct OnlineCalibration {
     /// Estimate the extrinsics of each camera.
     pub extrinsics: bool,
@@ -146,6 +147,11 @@ impl Calibration {
     pub(crate) fn row_reach_ns(&self) -> i64 {
         let uncertain = if self.online.readout_time { self.online.sigma_readout_time_s } else { 0.0 };
         row_reach_ns(&self.cameras) + (uncertain * 1e9) as i64
+    }
+
+    /// Whether what is estimated shows in the images of a camera at rest: the readout time does not.
+    pub fn shows_at_rest(&self) -> bool {
+        self.online.time_offset || self.online.extrinsics || self.online.intrinsics
     }
 
     /// Index of the error of a camera's readout time within those of the calibration; `None` where it is not estimated.

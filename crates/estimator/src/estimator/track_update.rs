@@ -117,7 +117,7 @@ impl Estimator {
         for index in clones_beyond_window(&self.state, self.config.window) {
             self.tracks.take_starting_at(self.state.clones[index].id, &mut update.finished);
         }
-        if self.msckf_settings.stationary && self.state.calibration.dim() > 0 {
+        if self.msckf_settings.stationary && self.state.calibration.shows_at_rest() {
             // An image that does not change repeats the same information on the calibration with the same linearization
             // error, which would make the calibration inconsistent.
             self.tracks.recycle(&mut update.finished);

@@ -88,13 +88,13 @@ impl RowPose {
         rate.fixed_rows_mut::<3>(0).copy_from(&(own.rotation * relative.angular_velocity));
         rate.fixed_rows_mut::<3>(3).copy_from(&(own.rotation * relative.velocity));
 
-        let Some(neighbour) = Neighbour::of(state, clone, seconds) else {
+        let Some(neighbour) = OtherClone::of(state, clone, seconds) else {
             let own = ClonePart { weight: 1.0, lever: unshifted.translation - own.translation };
             let dependence = RowDependence { own, neighbour: None, by_readout: rate * fraction };
             return Self { local_from_imu: unshifted, dependence: Some(dependence) };
         };
         let other = estimates.of(&state.clones[neighbour.index]);
-        let expected = *own * neighbour.own_from_neighbour;
+        let expected = *own * neighbour.own_from_other;
         let turn = rotation::log(&(other.rotation * expected.rotation.inverse()));
         let shift = other.translation - expected.translation;
         let arm = unshifted.translation - expected.translation;
@@ -120,26 +120,26 @@ impl RowPose {
 }
 
 /// The clone between which and an image's own one a row is interpolated.
-struct Neighbour {
+struct OtherClone {
     index: usize,
     /// Its time after the image, seconds.
     seconds: f64,
     /// Its pose in the frame of the image's clone, by the readings of the IMU.
-    own_from_neighbour: Pose,
+    own_from_other: Pose,
 }
 
-impl Neighbour {
+impl OtherClone {
     /// The next clone for rows after the image, the one before for those before it, or else the other one of these; `None`
     /// where neither is left.
     fn of(state: &ActiveState, clone: usize, seconds: f64) -> Option<Self> {
         let before = || {
             let (since, before_from_own) = since_before(state, clone)?;
-            let own_from_neighbour = before_from_own.inverse();
-            Some(Self { index: clone - 1, seconds: -since, own_from_neighbour })
+            let own_from_other = before_from_own.inverse();
+            Some(Self { index: clone - 1, seconds: -since, own_from_other })
         };
         let after = || {
-            let (until, own_from_neighbour) = since_before(state, clone + 1)?;
-            Some(Self { index: clone + 1, seconds: until, own_from_neighbour })
+            let (until, own_from_other) = since_before(state, clone + 1)?;
+            Some(Self { index: clone + 1, seconds: until, own_from_other })
         };
         if seconds < 0.0 { before().or_else(after) } else { after().or_else(before) }
     }
