@@ -81,8 +81,8 @@ fn is_as_good_as_a_global_shutter(count: usize, tracks: Tracks, cameras: usize) 
     scored(without);
     for with in [known, estimated] {
         let local = scored(with);
-        // The mean of a few seeds is less certain.
-        let least = if count < ALL_RUNS { 0.4 } else { 0.7 };
+        // These runs are conservative with global shutters already; rolling ones must not be more so.
+        let least = 0.7_f64.min(0.9 * global_score.pose.mean);
         assert!((least..=1.4).contains(&local.pose.mean), "{:?}", local.pose);
         assert!(local.rmse_m < 1.2 * global_score.rmse_m, "{} of {}", local.rmse_m, global_score.rmse_m);
         let pairs = without.trials.iter().zip(&with.trials);
