@@ -46,6 +46,7 @@ impl<'a> Player<'a> {
             .map(|sensor| CalibratedCamera {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
+                readout_s: sensor.readout_s,
             })
             .collect();
         let estimator = Estimator::new(config, rig, &initial).unwrap();

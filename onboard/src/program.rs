@@ -287,6 +287,7 @@ impl FinishedRun {
             starts: report.starts,
             divergences: report.divergences,
             learned_noise: report.learned_noise,
+            readout_times_s: report.readout_times_s,
             wheels: report.wheels,
             alarms: report.alarms,
             final_status: report.final_status,

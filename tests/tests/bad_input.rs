@@ -218,8 +218,7 @@ fn estimator(sequence: &Sequence) -> Estimator {
 
 fn rig(sequence: &Sequence) -> Vec<CalibratedCamera> {
     let rig = sequence.cameras.iter();
-    rig.map(|eye| CalibratedCamera { camera: eye.camera.clone(), imu_from_camera: eye.imu_from_camera })
-        .collect()
+    rig.map(|eye| CalibratedCamera::new(eye.camera.clone(), eye.imu_from_camera)).collect()
 }
 
 /// Odometry up to the image after the last of `frames`; every image's clone is handed out.

@@ -25,7 +25,7 @@ fn calibration() -> SensorCalibration {
     let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None };
     SensorCalibration {
         imu: Some(imu),
-        cameras: vec![CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 }],
+        cameras: vec![CameraSensor::new(camera, Pose::identity(), 20.0)],
         wheels: None,
     }
 }

@@ -58,8 +58,7 @@ impl Holder {
             centre: [375.5, 239.5],
             distortion: Distortion::None,
         };
-        let eye =
-            CalibratedCamera { camera, imu_from_camera: Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)) };
+        let eye = CalibratedCamera::new(camera, Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)));
         let mut draw = |half: f64| rng.random_range(-half..half);
         let points = (0..POINTS).map(|_| Vector3::new(12.0 + draw(4.0), draw(4.0), draw(2.5))).collect();
         let near = |_| {

@@ -3,7 +3,7 @@
 //! EuRoC's files are OpenCV YAML: a `%YAML:1.0` line, tabs and tags that standard YAML does not allow are removed
 //! first. The body frame is the IMU's, as in EuRoC.
 
-use crate::yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
+use crate::yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text, readout_time};
 use crate::{CalibrationError, CameraSensor, ImuSensor, WheelSensor, kalibr};
 use geometry::camera::Camera;
 use serde::Deserialize;
@@ -26,12 +26,14 @@ struct ImuYaml {
     gravity_magnitude: Option<f64>,
 }
 
-/// Extrinsics and rate of a camera.
+/// Extrinsics, rate and shutter of a camera.
 #[derive(Deserialize)]
 struct MountYaml {
     #[serde(rename = "T_BS")]
     body_from_sensor: Matrix4Yaml,
     rate_hz: f64,
+    #[serde(default)]
+    line_delay: f64,
 }
 
 /// Geometry and noise of the wheels.
@@ -89,7 +91,7 @@ pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationErro
     Ok(ImuSensor { noise, rate_hz: yaml.rate_hz, gravity_magnitude: yaml.gravity_magnitude })
 }
 
-/// Reads a camera's `sensor.yaml`.
+/// Reads a camera's `sensor.yaml`. Of a rolling shutter, `line_delay` is the time from row to row, seconds, as in Kalibr's files.
 ///
 /// # Errors
 /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
@@ -98,7 +100,8 @@ pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
     let mount: MountYaml = parse(path, KIND, &read_text(path)?)?;
     check_positive(path, "rate_hz", mount.rate_hz)?;
     let imu_from_camera = pose_from_matrix(path, "T_BS", &mount.body_from_sensor.data)?;
-    Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz })
+    let readout_s = readout_time(path, "line_delay", mount.line_delay, &camera)?;
+    Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz, readout_s })
 }
 
 /// Reads the `sensor.yaml` of the wheels: `radius_left`, `radius_right` and `track` (m), `T_BS`, the pose of the base in the

@@ -24,6 +24,16 @@ pub struct CameraSensor {
     pub imu_from_camera: Pose,
     /// Images a second.
     pub rate_hz: f64,
+    /// Time from the readout of the first row to that after the last one, seconds: 0 for a global shutter, negative where images
+    /// are turned by 180 degrees after they were read out. The stamp of an image is the time of its middle row.
+    pub readout_s: f64,
+}
+
+impl CameraSensor {
+    /// A camera with a global shutter.
+    pub fn new(camera: Camera, imu_from_camera: Pose, rate_hz: f64) -> Self {
+        Self { camera, imu_from_camera, rate_hz, readout_s: 0.0 }
+    }
 }
 
 /// The wheels of a differential drive: two driven wheels on one axis.

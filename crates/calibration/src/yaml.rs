@@ -245,6 +245,29 @@ pub(crate) fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), 
     Err(CalibrationError::entry(path, format!("{name} is {value}, but must be a positive number")))
 }
 
+/// Longest readout time of an image, seconds: a longer one is in other units.
+const MAX_READOUT_S: f64 = 0.2;
+
+/// Readout time of an image, seconds, by the time from row to row; negative where images are turned by 180 degrees after they were
+/// read out.
+pub(crate) fn readout_time(
+    path: &Path,
+    name: &str,
+    line_delay_s: f64,
+    camera: &Camera,
+) -> Result<f64, CalibrationError> {
+    let readout_s = line_delay_s * f64::from(camera.height);
+    if readout_s.abs() < MAX_READOUT_S {
+        return Ok(readout_s);
+    }
+    let rows = camera.height;
+    let problem = format!(
+        "{name} is {line_delay_s}, but is the time from row to row in seconds: for {rows} rows below {}",
+        MAX_READOUT_S / f64::from(rows)
+    );
+    Err(CalibrationError::entry(path, problem))
+}
+
 /// A row-major 4x4 matrix as a pose. `key`: its name in the file.
 pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, CalibrationError> {
     let wrong = |problem: &str| CalibrationError::entry(path, format!("{key}: {problem}"));

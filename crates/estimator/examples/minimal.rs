@@ -47,16 +47,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .collect();
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let forward = Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    let camera = CalibratedCamera {
-        camera: Camera {
+    let camera = CalibratedCamera::new(
+        Camera {
             width: 640,
             height: 480,
             focal: [400.0; 2],
             centre: [319.5, 239.5],
             distortion: Distortion::None,
         },
-        imu_from_camera: Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)),
-    };
+        Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)),
+    );
 
     let velocity = Vector3::new(RADIUS_M * RATE_RAD_S, 0.0, 0.0);
     let sigmas = InitialSigmas::default();

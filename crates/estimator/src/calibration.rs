@@ -7,6 +7,7 @@
 //! time offset (1)                       seconds; t_imu = t_camera + offset
 //! of each camera: extrinsics (6)        [δθ, δp] of imu_from_camera, R = Exp(δθ) R̂, in the IMU's frame
 //!                 intrinsics (4 to 8)   [fx, fy, cx, cy, distortion...]
+//!                 readout time (1)      seconds
 //! ```
 //! Source: Li & Mourikis, "Online temporal calibration for camera-IMU systems", IJRR 2014; Li, Yu, Zheng & Mourikis,
 //! "High-fidelity sensor modeling and self-calibration in vision-aided inertial navigation", ICRA 2014.
@@ -23,12 +24,16 @@ pub struct CalibratedCamera {
     pub camera: Camera,
     /// Camera pose in the IMU frame (extrinsics).
     pub imu_from_camera: Pose,
+    /// Time from the readout of the first row to that after the last one, seconds: 0 for a global shutter. An image's stamp is the
+    /// time of its middle row, see [`rolling_shutter`](crate::rolling_shutter).
+    pub readout_s: f64,
 }
 
 /// Which calibration parameters are estimated online, and their initial standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 pub struct OnlineCalibration {
     /// Estimate the extrinsics of each camera.
     pub extrinsics: bool,
@@ -36,6 +41,8 @@ pub struct OnlineCalibration {
     pub intrinsics: bool,
     /// Estimate the time offset between the cameras and the IMU.
     pub time_offset: bool,
+    /// Estimate the readout time of each camera's rolling shutter.
+    pub readout_time: bool,
     /// Orientation of a camera in the IMU frame, rad.
     pub sigma_rotation_rad: f64,
     /// Position of a camera in the IMU frame, metres.
@@ -51,16 +58,19 @@ pub struct OnlineCalibration {
     pub sigma_distortion: f64,
     /// Time offset, seconds.
     pub sigma_time_offset_s: f64,
+    /// Readout time of each camera, seconds.
+    pub sigma_readout_time_s: f64,
 }
 
 impl Default for OnlineCalibration {
     /// Nothing is estimated. The standard deviations are those of a manual calibration: 2 degrees, 3 cm, 1 % of the focal
-    /// length, 5 px, 10 ms.
+    /// length, 5 px, 10 ms. That of the readout time is for a camera of which nothing is known.
     fn default() -> Self {
         Self {
             extrinsics: false,
             intrinsics: false,
             time_offset: false,
+            readout_time: false,
             sigma_rotation_rad: 0.035,
             sigma_position_m: 0.03,
             sigma_focal_fraction: 0.01,
@@ -68,12 +78,22 @@ impl Default for OnlineCalibration {
             sigma_principal_point_px: 5.0,
             sigma_distortion: 0.01,
             sigma_time_offset_s: 0.01,
+            sigma_readout_time_s: 0.015,
         }
     }
 }
 
 /// Dimension of the error of one camera when all of it is estimated.
-pub const CAMERA_DIM: usize = 6 + MAX_INTRINSICS;
+pub const CAMERA_DIM: usize = 6 + MAX_INTRINSICS + 1;
+
+/// How far the times of rows reach from that of the image, nanoseconds.
+pub(crate) fn row_reach_ns(cameras: &[CalibratedCamera]) -> i64 {
+    let longest = cameras.iter().map(|calibrated| calibrated.readout_s.abs()).fold(0.0, f64::max);
+    ((0.5 * longest).min(MAX_ROW_REACH_S) * 1e9) as i64
+}
+
+/// Motion about an image is known this far, seconds: half of the longest readout time of any camera.
+const MAX_ROW_REACH_S: f64 = 0.1;
 
 /// Cameras and time offset, with the layout of their errors.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,12 +130,33 @@ impl Calibration {
     fn camera_dim(&self, camera: usize) -> usize {
         let intrinsics =
             if self.online.intrinsics { self.cameras[camera].camera.intrinsics_len() } else { 0 };
-        self.extrinsics_dim() + intrinsics
+        self.extrinsics_dim() + intrinsics + usize::from(self.online.readout_time)
     }
 
     /// Whether the time offset is estimated; if so, its error is the first.
     pub fn estimates_time_offset(&self) -> bool {
         self.online.time_offset
+    }
+
+    /// Whether rows of images have times of their own.
+    pub fn has_rolling_shutter(&self) -> bool {
+        self.online.readout_time || self.cameras.iter().any(|calibrated| calibrated.readout_s != 0.0)
+    }
+
+    /// How far the times of rows reach from that of the image, nanoseconds.
+    pub(crate) fn row_reach_ns(&self) -> i64 {
+        let uncertain = if self.online.readout_time { self.online.sigma_readout_time_s } else { 0.0 };
+        row_reach_ns(&self.cameras) + (uncertain * 1e9) as i64
+    }
+
+    /// Whether what is estimated shows in the images of a camera at rest: the readout time does not.
+    pub fn shows_at_rest(&self) -> bool {
+        self.online.time_offset || self.online.extrinsics || self.online.intrinsics
+    }
+
+    /// Index of the error of a camera's readout time within those of the calibration; `None` where it is not estimated.
+    pub fn readout_index(&self, camera: usize) -> Option<usize> {
+        self.online.readout_time.then(|| self.camera_range(camera).end - 1)
     }
 
     /// Range of a camera's errors within those of the calibration.
@@ -161,6 +202,9 @@ impl Calibration {
             let rest = calibrated.camera.intrinsics_len() - 4;
             sigmas.resize(sigmas.len() + rest, (online.sigma_distortion, false));
         }
+        if online.readout_time {
+            sigmas.push((online.sigma_readout_time_s, false));
+        }
         sigmas
     }
 
@@ -172,6 +216,7 @@ impl Calibration {
         for camera in 0..self.cameras.len() {
             let range = self.camera_range(camera);
             let extrinsics = self.extrinsics_dim();
+            let readout = usize::from(self.online.readout_time);
             let calibrated = &mut self.cameras[camera];
             if extrinsics > 0 {
                 let step: Vector6<f64> = error.fixed_rows::<6>(range.start).into();
@@ -179,9 +224,12 @@ impl Calibration {
             }
             if self.online.intrinsics {
                 let mut step = SVector::<f64, MAX_INTRINSICS>::zeros();
-                let count = range.len() - extrinsics;
+                let count = range.len() - extrinsics - readout;
                 step.rows_mut(0, count).copy_from(&error.rows(range.start + extrinsics, count));
                 calibrated.camera.add_to_intrinsics(&step);
+            }
+            if readout > 0 {
+                calibrated.readout_s += error[range.end - 1];
             }
         }
     }
@@ -196,12 +244,14 @@ impl Calibration {
     pub fn is_valid(&self) -> bool {
         self.time_offset.is_finite()
             && self.cameras.iter().all(|calibrated| {
-                calibrated.imu_from_camera.is_finite() && calibrated.camera.validate().is_ok()
+                calibrated.imu_from_camera.is_finite()
+                    && calibrated.camera.validate().is_ok()
+                    && calibrated.readout_s.is_finite()
             })
     }
 
     /// Jacobian of a pixel of `camera` with respect to the errors of that camera: the first columns, as many as
-    /// [`Self::camera_range`] is long, in that order.
+    /// [`Self::camera_range`] is long, in that order; zero for the readout time.
     pub fn camera_jacobian(&self, camera: usize, projection: &Projection) -> CameraJacobian {
         let mut jacobian = CameraJacobian::zeros();
         let extrinsics = self.extrinsics_dim();
@@ -236,6 +286,16 @@ pub struct Projection {
 }
 
 impl CalibratedCamera {
+    /// A camera with a global shutter.
+    pub fn new(camera: Camera, imu_from_camera: Pose) -> Self {
+        Self { camera, imu_from_camera, readout_s: 0.0 }
+    }
+
+    /// Time at which the row of a pixel was read out, as a fraction of the readout time after the middle of it.
+    pub fn row_fraction(&self, pixel: &Vector2<f64>) -> f64 {
+        (pixel.y + 0.5) / f64::from(self.camera.height) - 0.5
+    }
+
     /// The predicted pixel of a landmark in L; `None` where it does not project.
     pub fn predict(&self, local_from_imu: &Pose, landmark: &Vector3<f64>) -> Option<Vector2<f64>> {
         let in_camera = self.imu_from_camera.inverse_transform(&local_from_imu.inverse_transform(landmark));
@@ -292,8 +352,8 @@ mod tests {
                 Pose::new(rotation::exp(&Vector3::new(x, y, z)), Vector3::new(y, z, x))
             };
             let cameras = [
-                CalibratedCamera { camera: camera.clone(), imu_from_camera: pose(0.1, -0.2, 0.3) },
-                CalibratedCamera { camera, imu_from_camera: pose(-0.1, 0.2, 0.1) },
+                CalibratedCamera::new(camera.clone(), pose(0.1, -0.2, 0.3)),
+                CalibratedCamera::new(camera, pose(-0.1, 0.2, 0.1)),
             ];
             let online = OnlineCalibration {
                 extrinsics: true,
@@ -341,7 +401,7 @@ mod tests {
             centre: [5.0; 2],
             distortion: Distortion::Fov(0.9),
         };
-        let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+        let cameras = vec![CalibratedCamera::new(camera, Pose::identity())];
         assert_eq!(Calibration::new(cameras.clone(), 0.0, OnlineCalibration::default()).dim(), 0);
         let online = OnlineCalibration { intrinsics: true, time_offset: true, ..Default::default() };
         let calibration = Calibration::new(cameras, 0.0, online);

@@ -1,6 +1,6 @@
 //! All settings of the filter, with units and the reason for each default.
 
-use crate::calibration::OnlineCalibration;
+use crate::calibration::{CalibratedCamera, OnlineCalibration};
 use crate::wheels::config::WheelConfig;
 use geometry::CameraError;
 use serde::{Deserialize, Serialize};
@@ -164,6 +164,9 @@ pub struct EstimatorConfig {
     pub calibration: OnlineCalibration,
     /// Added to a camera's time stamp to obtain the IMU's, seconds.
     pub camera_time_offset_s: f64,
+    /// Readout time of each camera's rolling shutter instead of that of its calibration, seconds: one for all cameras, or one by
+    /// camera; empty for those of the calibration.
+    pub readout_times_s: Vec<f64>,
     /// The wheels of a differential drive; without it their readings are ignored.
     pub wheels: Option<WheelConfig>,
     /// Noise of a tracked pixel, px.
@@ -227,6 +230,7 @@ impl Default for EstimatorConfig {
             max_tracks: 100,
             calibration: OnlineCalibration::default(),
             camera_time_offset_s: 0.0,
+            readout_times_s: Vec::new(),
             wheels: None,
             sigma_track_px: 1.0,
             sigma_match_px: 1.0,
@@ -251,6 +255,9 @@ impl Default for EstimatorConfig {
 
 /// Maximum offset between the clocks of camera and IMU, seconds; a larger one is a configuration error.
 const MAX_TIME_OFFSET_S: f64 = 0.5;
+
+/// Maximum readout time of an image, seconds; a larger one is a configuration error.
+const MAX_READOUT_S: f64 = 0.2;
 
 /// A setting or a camera that the filter cannot run with.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -327,12 +334,23 @@ impl EstimatorConfig {
         }
         let of_camera = ("camera_time_offset_s", self.camera_time_offset_s, MAX_TIME_OFFSET_S);
         let of_wheels = self.wheels.iter().flat_map(WheelConfig::limited);
-        for (setting, value, limit) in std::iter::once(of_camera).chain(of_wheels) {
+        let readouts = self.readout_times_s.iter().map(|&value| ("readout_times_s", value, MAX_READOUT_S));
+        for (setting, value, limit) in std::iter::once(of_camera).chain(of_wheels).chain(readouts) {
             if !(value.is_finite() && value.abs() < limit) {
                 return Err(ConfigError::TooLarge { setting, value, limit });
             }
         }
         Ok(())
+    }
+
+    /// The cameras with the readout times of the settings, where these state some.
+    pub fn with_readout_times(&self, mut cameras: Vec<CalibratedCamera>) -> Vec<CalibratedCamera> {
+        let stated = &self.readout_times_s;
+        for (index, calibrated) in cameras.iter_mut().enumerate() {
+            let own = if stated.len() == 1 { stated.first() } else { stated.get(index) };
+            calibrated.readout_s = own.copied().unwrap_or(calibrated.readout_s);
+        }
+        cameras
     }
 
     fn validate_positive(&self) -> Result<(), ConfigError> {
@@ -358,6 +376,7 @@ impl EstimatorConfig {
             ("calibration.sigma_principal_point_px", self.calibration.sigma_principal_point_px),
             ("calibration.sigma_distortion", self.calibration.sigma_distortion),
             ("calibration.sigma_time_offset_s", self.calibration.sigma_time_offset_s),
+            ("calibration.sigma_readout_time_s", self.calibration.sigma_readout_time_s),
             ("verify_angle_rad", self.verify_angle_rad),
             ("sigma_map_shift_fraction", self.sigma_map_shift_fraction),
             ("sigma_transform_rotation_rad", self.sigma_transform_rotation_rad),

@@ -28,6 +28,7 @@
 //! | [`config`] | all settings |
 //! | [`propagation`] | IMU state, its integration and error transition |
 //! | [`preintegration`], [`inertial_chain`] | IMU samples between two images, as a residual of their states; all of an adjustment |
+//! | [`rolling_shutter`] | poses of the rows of images that are read out while the camera moves |
 //! | [`motion`] | pose and velocities with covariance, now and predicted by the IMU |
 //! | [`state`] | layout of the active state |
 //! | [`schmidt`], [`covariance`] | joint covariance of the active state and the held keyframes |
@@ -60,6 +61,7 @@ pub mod noise_adaptation;
 pub mod odometry;
 pub mod preintegration;
 pub mod propagation;
+pub mod rolling_shutter;
 pub mod schmidt;
 pub mod state;
 #[cfg(test)]

@@ -232,6 +232,17 @@ impl StepTransition {
     }
 }
 
+/// The state after the time from one sample to another, forward or backward, without its error.
+pub(crate) fn advance(
+    state: &ImuState,
+    from: &ImuSample,
+    to: &ImuSample,
+    gravity: &Vector3<f64>,
+) -> ImuState {
+    let dt = (to.stamp_ns - from.stamp_ns) as f64 * 1e-9;
+    integrate(state, from, to, dt, gravity).0
+}
+
 /// One step between two samples: the new state and the error transition.
 fn integrate(
     state: &ImuState,

@@ -3,10 +3,12 @@
 
 use crate::calibration::Calibration;
 use crate::propagation::{IMU_DIM, ImuState, MotionEstimate};
+use crate::rolling_shutter::motion_around::MotionAround;
 use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
 use geometry::Pose;
 use nalgebra::{DVector, Matrix6, Vector3, Vector6};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Dimension of a pose error.
 pub const POSE_DIM: usize = 6;
@@ -28,6 +30,8 @@ pub struct ClonedPose {
     pub first_estimate: Pose,
     /// Excluded from marginalization because a map query of its image is pending.
     pub pinned: bool,
+    /// Motion about the time of the image, for cameras with a rolling shutter.
+    pub motion: Option<Arc<MotionAround>>,
 }
 
 /// A landmark in the state, kept as long as it is tracked.

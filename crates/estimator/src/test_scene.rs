@@ -3,9 +3,11 @@
 use crate::calibration::{CalibratedCamera, Calibration, OnlineCalibration};
 use crate::odometry::tracks::CloneObservation;
 use crate::propagation::{ImuState, MotionEstimate};
+use crate::rolling_shutter::motion_around::MotionAround;
 use crate::state::{ActiveState, CloneId, ClonedPose};
 use geometry::{Camera, Distortion, Pose, rotation};
 use nalgebra::{Vector2, Vector3};
+use std::sync::Arc;
 
 /// Eight clones on a bow around a landmark, the newest estimates a little off the first ones.
 pub struct Scene {
@@ -28,11 +30,10 @@ pub fn scene(calibrating: bool) -> Scene {
     };
     let mounted =
         |y: f64| Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, -0.3)), Vector3::new(0.05, y, 0.0));
-    let mut cameras =
-        vec![CalibratedCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
+    let mut cameras = vec![CalibratedCamera::new(camera(Distortion::None), mounted(0.1))];
     if calibrating {
         let lens = Distortion::RadialTangential([-0.1, 0.02, 1e-3, -1e-3]);
-        cameras.push(CalibratedCamera { camera: camera(lens), imu_from_camera: mounted(-0.1) });
+        cameras.push(CalibratedCamera::new(camera(lens), mounted(-0.1)));
     }
     let online = OnlineCalibration {
         extrinsics: calibrating,
@@ -57,6 +58,7 @@ pub fn scene(calibrating: bool) -> Scene {
                 local_from_imu: newest,
                 first_estimate,
                 pinned: false,
+                motion: None,
             }
         })
         .collect();
@@ -87,4 +89,38 @@ pub fn scene(calibrating: bool) -> Scene {
         clones,
     };
     Scene { state, observations, landmark, sigma_px: 1.2 }
+}
+
+/// The scene seen by a camera with a rolling shutter, with a readout time that is estimated: images 0.1 s apart, and estimates that differ from
+/// the motion between them by some 20 mm and 3 mrad, or by nothing.
+pub fn rolling_scene(readout_s: f64, agrees: bool) -> Scene {
+    let Scene { mut state, mut observations, landmark, sigma_px } = scene(false);
+    let online = OnlineCalibration { readout_time: true, ..OnlineCalibration::default() };
+    let mut cameras = state.calibration.cameras;
+    cameras[0].readout_s = readout_s;
+    state.calibration = Calibration::new(cameras, 0.0, online);
+    let wave = |k: f64| Vector3::new((1.3 * k).sin(), (2.9 * k).cos(), (0.7 * k).sin());
+    for index in 0..state.clones.len() {
+        let k = index as f64;
+        let pose = |seconds: f64| {
+            let (turned, moved) = (wave(k) * seconds, wave(k + 3.0) * seconds);
+            (seconds, Pose::new(rotation::exp(&(turned * (1.0 + 3.0 * seconds))), moved * (1.0 + seconds)))
+        };
+        let since_before = index.checked_sub(1).map(|before| {
+            let between = state.clones[before].local_from_imu.inverse() * state.clones[index].local_from_imu;
+            let other = Pose::new(rotation::exp(&(2e-3 * wave(k + 5.0))), 0.015 * wave(k + 7.0));
+            (0.1, if agrees { between } else { between * other })
+        });
+        let motion = MotionAround::new(
+            &[pose(-0.005), pose(-0.01), pose(-0.015)],
+            &[pose(0.005), pose(0.01), pose(0.015)],
+            since_before,
+        );
+        state.clones[index].motion = Some(Arc::new(motion));
+    }
+    for (index, observation) in observations.iter_mut().enumerate() {
+        // Rows all over the image; the landmark is where all of them would see it to some pixels.
+        observation.pixel += Vector2::new(0.0, 2.0 * (index as f64).sin());
+    }
+    Scene { state, observations, landmark, sigma_px }
 }

@@ -21,7 +21,7 @@ fn cameras() -> Vec<CalibratedCamera> {
         centre: [320.0, 240.0],
         distortion: Distortion::None,
     };
-    vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }]
+    vec![CalibratedCamera::new(camera, Pose::identity())]
 }
 
 /// Readings of a body without acceleration and images of one that moves at `velocity` (m/s), until it starts.

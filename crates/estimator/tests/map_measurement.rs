@@ -32,10 +32,7 @@ fn calibrated() -> CalibratedCamera {
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let turn = rotation::exp(&Vector3::new(0.02, -0.03, 0.01));
     let rotation = turn * geometry::Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    CalibratedCamera {
-        camera: camera(),
-        imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.05, -0.02)),
-    }
+    CalibratedCamera::new(camera(), Pose::new(rotation, Vector3::new(0.1, 0.05, -0.02)))
 }
 
 /// One image, three keyframes that look the same way, and landmarks before all of them.

@@ -64,6 +64,7 @@ mod report;
 mod selected_keyframes;
 mod stereo_matching;
 mod stereo_registration;
+mod still_views;
 mod stored_landmarks;
 mod stored_poses;
 #[cfg(test)]

@@ -18,9 +18,11 @@ use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
 use super::matching::{self, FeatureMatch};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
 use super::progress::{Progress, Stage};
+use super::readings::buffered;
 use super::reference_gravity::gravity_of;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::BuildReport;
+use super::still_views::make_still;
 use super::tracks;
 use super::triangulation::{Scene, triangulate};
 
@@ -56,7 +58,8 @@ pub fn build_map(
     let start = Instant::now();
     let cameras = mounted_cameras(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);
-    let views = select_keyframes(sequence, references, &mut source, options, progress)?;
+    let mut views = select_keyframes(sequence, references, &mut source, options, progress)?;
+    make_still(&mut views, &sequence.cameras, &buffered(&sequence.imu_samples), |_| None);
     let mut report = BuildReport::of_views(&views, source.unreadable);
     let pairs = matching::pairs(&views, options);
     let matches = match_all(&cameras, &views, &pairs, options, &mut report, progress)?;

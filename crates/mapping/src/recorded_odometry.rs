@@ -110,6 +110,7 @@ pub fn run_configured(
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
         imu_from_camera: sensor.imu_from_camera,
+        readout_s: sensor.readout_s,
     };
     let rig: Vec<CalibratedCamera> = sequence.cameras[..cameras].iter().map(of_sensor).collect();
     let mut supervisor = EstimatorSupervisor::initializing(config.clone(), rig);
@@ -127,9 +128,9 @@ pub fn run_configured(
     let frames = sequence.frames.len();
     for (index, frame) in sequence.frames.iter_mut().enumerate() {
         progress(index, frames);
-        // Up to the first one that is not before the frame, by the clock of the IMU.
+        // Up to the first one that is not before the frame's last row, by the clock of the IMU.
         let until_ns =
-            supervisor.estimator().map_or(frame.stamp_ns, |running| running.imu_stamp_ns(frame.stamp_ns));
+            supervisor.estimator().map_or(frame.stamp_ns, |running| running.last_row_ns(frame.stamp_ns));
         while let Some(&reading) = readings.get(next_reading) {
             next_reading += 1;
             match supervisor.imu(reading) {

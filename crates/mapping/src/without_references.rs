@@ -37,6 +37,7 @@ use super::progress::Progress;
 use super::readings::{buffered, inertial_chain};
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::{BuildReport, UntrackedImages};
+use super::still_views::make_still;
 
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
 /// the first view.
@@ -158,6 +159,9 @@ impl<'a, 'p> Builder<'a, 'p> {
         let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
         report.imu_noise_scale = odometry.imu_noise_scale;
         let readings = buffered(&sequence.imu_samples);
+        make_still(&mut views, &sequence.cameras, &readings, |stamp_ns| {
+            odometry.at(stamp_ns).map(|state| state.gyroscope_bias)
+        });
         let mut config = odometry.config.clone();
         config.imu_noise = config.imu_noise.inflated(odometry.imu_noise_scale);
         Ok(Builder {

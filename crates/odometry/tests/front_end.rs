@@ -24,7 +24,7 @@ fn sensor() -> CameraSensor {
         distortion: Distortion::None,
     };
     let imu_from_camera = Pose::new(exp(&Vector3::new(0.3, 1.2, -0.8)), Vector3::new(0.05, 0.0, -0.02));
-    CameraSensor { camera, imu_from_camera, rate_hz: 20.0 }
+    CameraSensor::new(camera, imu_from_camera, 20.0)
 }
 
 /// What the camera sees after `k` images of turning: a texture on a sphere, infinitely far.

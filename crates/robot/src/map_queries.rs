@@ -12,6 +12,7 @@ use super::run::Robot;
 use super::stop::NOTICE;
 use client::{MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
 use estimator::{CloneId, EstimatorError, MapMode, Rejection, RevisionEffect};
+use nalgebra::Vector2;
 use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
 use sensors::Frame;
 use std::time::{Duration, Instant};
@@ -48,7 +49,7 @@ impl Robot<'_> {
         self.initial_pose.update(self.supervisor.estimator_mut(), has_map);
     }
 
-    fn send_query(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet) {
+    fn send_query(&mut self, clone: CloneId, stamp_ns: i64, mut features: FeatureSet) {
         let mode = self.supervisor.config().mode;
         let (Some(queries), Some(estimator), Some(camera)) =
             (&mut self.map.queries, self.supervisor.estimator_since(stamp_ns), &self.query_camera)
@@ -59,6 +60,10 @@ impl Robot<'_> {
             self.report.queries.skipped += 1;
             estimator.unpin(clone);
             return;
+        }
+        for pixel in &mut features.pixels {
+            let seen = estimator.still_pixel(clone, &Vector2::from(pixel.map(f64::from)));
+            *pixel = [seen.x as f32, seen.y as f32];
         }
         let max_keyframes = if mode == MapMode::Single { 1 } else { self.settings.max_keyframes.max(1) };
         let request = MatchRequest {

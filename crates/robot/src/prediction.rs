@@ -156,7 +156,7 @@ mod tests {
         let distortion = Distortion::None;
         let camera =
             Camera { width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion };
-        let cameras = vec![estimator::CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+        let cameras = vec![estimator::CalibratedCamera::new(camera, Pose::identity())];
         let sigmas = InitialSigmas::default();
         let start = InitialState::from_truth(0, &Pose::identity(), &Vector3::zeros(), &-Vector3::z(), sigmas);
         let estimator = Estimator::new(EstimatorConfig::default(), cameras, &start).unwrap();

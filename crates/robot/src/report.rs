@@ -9,8 +9,8 @@ use super::error::RunError;
 use super::event::Event;
 use super::map_conversion::map_identity;
 use estimator::{
-    Estimator, EstimatorError, InitMethod, LearnedNoise, MapReport, Rejection, Status, TrackReport,
-    WheelReport,
+    Estimated, Estimator, EstimatorError, InitMethod, LearnedNoise, MapReport, Rejection, Status,
+    TrackReport, WheelReport,
 };
 use protocol::MapIdentity;
 
@@ -64,6 +64,8 @@ pub struct RunReport {
     pub final_status: Option<Status>,
     /// Noise levels learned at the end.
     pub learned_noise: Option<LearnedNoise>,
+    /// Readout time of each camera's rolling shutter at the end, seconds; `None` where all shutters are global ones.
+    pub readout_times_s: Option<Vec<Estimated>>,
     /// What the wheels did, and their calibration at the end; `None` without them.
     pub wheels: Option<WheelReport>,
     /// Why the run ended before its source did.

@@ -98,6 +98,7 @@ impl<'a> Robot<'a> {
             .map(|sensor| CalibratedCamera {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
+                readout_s: sensor.readout_s,
             })
             .collect();
         let config = settings.estimator.clone();
@@ -272,7 +273,7 @@ impl<'a> Robot<'a> {
 
     /// Reads the IMU up to the first reading that is not before a frame, on the clocks of both sensors.
     fn read_imu(&mut self, frame_ns: i64) -> Result<(), SensorError> {
-        let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
+        let until_ns = frame_ns.max(self.last_row_ns(frame_ns));
         while self.events.imu.ends_before(until_ns) {
             let Some((reading, checked)) = self.events.next_reading(frame_ns)? else { break };
             self.outputs.each(|output| output.reading(&reading));
@@ -281,9 +282,9 @@ impl<'a> Robot<'a> {
         Ok(())
     }
 
-    /// The time of a frame on the clock of the IMU, nanoseconds.
-    fn imu_stamp_ns(&self, frame_ns: i64) -> i64 {
-        self.supervisor.estimator().map_or(frame_ns, |estimator| estimator.imu_stamp_ns(frame_ns))
+    /// The time of the last row of a frame on the clock of the IMU, nanoseconds. The frame came after it was taken.
+    fn last_row_ns(&self, frame_ns: i64) -> i64 {
+        self.supervisor.estimator().map_or(frame_ns, |estimator| estimator.last_row_ns(frame_ns))
     }
 
     /// Drops readings that neither the front end nor a new initialization needs.
@@ -421,7 +422,7 @@ impl<'a> Robot<'a> {
 
     /// Hands the IMU readings up to the first one after the frame to the estimator.
     fn feed_imu(&mut self, frame_ns: i64) {
-        let until_ns = self.imu_stamp_ns(frame_ns);
+        let until_ns = self.last_row_ns(frame_ns);
         while let Some(reading) = self.events.imu.hand_out(until_ns) {
             if let Err(error) = self.supervisor.imu(reading)
                 && let Some(unlogged) = self.refused.note()
@@ -437,6 +438,7 @@ impl<'a> Robot<'a> {
         self.report.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
         self.report.alarms = self.alarms.kept().to_vec();
         self.report.learned_noise = self.supervisor.learned_noise();
+        self.report.readout_times_s = self.supervisor.estimator().and_then(Estimator::readout_times);
         self.report.wheels = self.supervisor.estimator().and_then(Estimator::wheel_report);
         self.report.final_status = Some(self.status());
         // It publishes through the outputs.

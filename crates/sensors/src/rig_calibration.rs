@@ -48,9 +48,11 @@ pub fn read_rig_calibration(
     let imu_path: &PathBuf =
         files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;
     let imu = Some(kalibr::read_imu(imu_path, None)?);
-    let sensor =
-        |(camera, imu_from_camera)| CameraSensor { camera, imu_from_camera, rate_hz: UNSTATED_RATE_HZ };
-    let cameras = chain.cameras.into_iter().map(sensor).collect();
+    let sensor = |((camera, imu_from_camera), readout_s)| {
+        let rate_hz = UNSTATED_RATE_HZ;
+        CameraSensor { camera, imu_from_camera, rate_hz, readout_s }
+    };
+    let cameras = chain.cameras.into_iter().zip(chain.readouts_s).map(sensor).collect();
     let sensors = SensorCalibration { imu, cameras, wheels: None };
     Ok(FolderCalibration { sensors, time_offset_ns: chain.time_offset_ns, files })
 }

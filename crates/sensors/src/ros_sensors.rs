@@ -117,7 +117,7 @@ mod tests {
     fn a_projection_has_the_frame_of_its_images() {
         let (focal, centre, distortion) = ([400.0; 2], [320.0, 240.0], Distortion::Fov(0.9));
         let camera = Camera { width: 640, height: 480, focal, centre, distortion };
-        let sensor = CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 };
+        let sensor = CameraSensor::new(camera, Pose::identity(), 20.0);
         let sensors = RosSensors::new(&["imu_link".to_owned(), "left".to_owned()], &[sensor.clone(), sensor]);
         assert_eq!((sensors.imu_frame(), sensors.camera_frame(0)), ("imu_link", Some("left")));
         let (topic, info) = sensors.info(1, 5_000_000_007).unwrap();

@@ -128,10 +128,9 @@ mod tests {
             centre: [160.0, 120.0],
             distortion: Distortion::None,
         };
-        let at = |x: f64| CameraSensor {
-            camera: camera.clone(),
-            imu_from_camera: Pose::new(UnitQuaternion::identity(), Vector3::x() * x),
-            rate_hz: 20.0,
+        let at = |x: f64| {
+            let mounted = Pose::new(UnitQuaternion::identity(), Vector3::x() * x);
+            CameraSensor::new(camera.clone(), mounted, 20.0)
         };
         vec![at(0.0), at(BASELINE_M)]
     }

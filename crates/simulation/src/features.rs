@@ -1,10 +1,10 @@
 //! The feature extractor for place recognition: visible landmarks with noisy descriptors, among clutter.
 
 use super::SimulationOptions;
+use super::exposure::Exposure;
 use super::random::{Purpose, normal, stream};
 use super::tracks::{rounded, visible};
 use super::world::{DESCRIPTOR_BYTES, Landmark};
-use geometry::pose::Pose;
 use nalgebra::Vector2;
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::RngExt;
@@ -27,13 +27,13 @@ impl<'a> Extractor<'a> {
     /// The features of one image.
     pub(crate) fn extract(
         &mut self,
-        world_from_imu: &Pose,
+        exposure: &Exposure<'_>,
         sensor: &CameraSensor,
         landmarks: &[Landmark],
     ) -> FeatureSet {
         let options = self.options;
         let rng = &mut self.rng;
-        let mut seen = visible(options, world_from_imu, sensor, landmarks);
+        let mut seen = visible(options, exposure, sensor, landmarks);
         seen.retain(|_| rng.random_bool(options.repeatability));
         seen.shuffle(rng);
         seen.truncate(options.max_features);

@@ -25,6 +25,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod drive;
+mod exposure;
 mod features;
 pub mod images;
 mod imu;
@@ -68,6 +69,8 @@ pub struct SimulationOptions {
     pub live_trajectory: Option<Vec<StampedPose>>,
     /// Images a second.
     pub frame_rate_hz: f64,
+    /// Readout time of the cameras' rolling shutters, seconds; 0 for global ones.
+    pub readout_s: f64,
     /// IMU samples a second.
     pub imu_rate_hz: f64,
     /// Noise densities of the IMU as its calibration states them; EuRoC's by default.
@@ -122,6 +125,7 @@ impl Default for SimulationOptions {
             map_trajectory: None,
             live_trajectory: None,
             frame_rate_hz: 10.0,
+            readout_s: 0.0,
             imu_rate_hz: 200.0,
             imu_noise: ImuNoise::default(),
             imu_noise_scale: 1.0,
@@ -168,8 +172,11 @@ impl SimulationOptions {
                 return Err(SimulationError::Option { name, value, wanted: "positive (and in order)" });
             }
         }
-        let not_negative =
-            [("sigma_track_px", self.sigma_track_px), ("sigma_feature_px", self.sigma_feature_px)];
+        let not_negative = [
+            ("readout_s", self.readout_s),
+            ("sigma_track_px", self.sigma_track_px),
+            ("sigma_feature_px", self.sigma_feature_px),
+        ];
         for (name, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(SimulationError::Option { name, value, wanted: "not negative" });
@@ -257,7 +264,7 @@ pub(crate) struct SimulatedWorld {
 pub(crate) fn simulate_world(options: &SimulationOptions) -> Result<SimulatedWorld, SimulationError> {
     options.check()?;
     let trajectories = run::trajectories(options)?;
-    let cameras = rig::stereo(options.frame_rate_hz);
+    let cameras = rig::stereo(options.frame_rate_hz, options.readout_s);
     let landmarks = world::landmarks(options, &cameras[0], &trajectories.first_laps);
     Ok(SimulatedWorld {
         cameras,

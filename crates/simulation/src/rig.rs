@@ -9,7 +9,10 @@ use sensors::CameraSensor;
 const BASELINE: f64 = 0.11;
 
 /// The stereo pair, left camera first; both have the intrinsics of EuRoC's first camera.
-pub(crate) fn stereo(rate_hz: f64) -> Vec<CameraSensor> {
+///
+/// # Arguments
+/// * `readout_s`: of their rolling shutters, seconds; 0 for global ones.
+pub(crate) fn stereo(rate_hz: f64, readout_s: f64) -> Vec<CameraSensor> {
     let camera = Camera {
         width: 752,
         height: 480,
@@ -27,10 +30,9 @@ pub(crate) fn stereo(rate_hz: f64) -> Vec<CameraSensor> {
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     [BASELINE / 2.0, -BASELINE / 2.0]
         .into_iter()
-        .map(|left| CameraSensor {
-            camera: camera.clone(),
-            imu_from_camera: Pose::new(rotation, Vector3::new(0.08, left, 0.03)),
-            rate_hz,
+        .map(|left| {
+            let mounted = Pose::new(rotation, Vector3::new(0.08, left, 0.03));
+            CameraSensor { readout_s, ..CameraSensor::new(camera.clone(), mounted, rate_hz) }
         })
         .collect()
 }

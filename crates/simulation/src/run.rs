@@ -1,5 +1,6 @@
 //! One run: everything that is recorded along a trajectory.
 
+use super::exposure::Exposure;
 use super::features::{Extractor, dropout_intervals};
 use super::random::{Purpose, normal3, stream};
 use super::spline::Spline;
@@ -149,15 +150,15 @@ fn frames(
     frame_stamps(options, trajectory)
         .enumerate()
         .map(|(index, stamp_ns)| {
-            let pose = trajectory.at(stamp_ns).pose;
+            let exposure = Exposure::of(trajectory, stamp_ns);
             let fraction = (stamp_ns - trajectory.start_ns()) as f64 / duration;
             let has_features =
                 index.is_multiple_of(every) && !dropouts.iter().any(|stretch| stretch.contains(&fraction));
             Frame {
                 stamp_ns,
                 images: [None, None],
-                tracks: front_end.track(&pose, cameras, landmarks),
-                features: has_features.then(|| extractor.extract(&pose, &cameras[0], landmarks)),
+                tracks: front_end.track(&exposure, cameras, landmarks),
+                features: has_features.then(|| extractor.extract(&exposure, &cameras[0], landmarks)),
             }
         })
         .collect()

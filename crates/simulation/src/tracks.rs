@@ -1,10 +1,10 @@
 //! The odometry front end: tracks of the visible landmarks in both cameras, with pixel noise.
 
 use super::SimulationOptions;
+use super::exposure::Exposure;
 use super::random::{Purpose, normal, stream};
 use super::world::Landmark;
-use geometry::pose::Pose;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use rand::RngExt;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -34,11 +34,11 @@ impl<'a> FrontEnd<'a> {
     /// Tracks into the next image. A landmark that comes back after a gap gets a new id, as from a real tracker.
     pub(crate) fn track(
         &mut self,
-        world_from_imu: &Pose,
+        exposure: &Exposure<'_>,
         cameras: &[CameraSensor],
         landmarks: &[Landmark],
     ) -> Vec<TrackObservation> {
-        let seen = visible(self.options, world_from_imu, &cameras[0], landmarks);
+        let seen = visible(self.options, exposure, &cameras[0], landmarks);
         let pixels: BTreeMap<usize, Vector2<f64>> = seen.iter().copied().collect();
         let rng = &mut self.rng;
         self.alive.retain(|landmark, _| pixels.contains_key(landmark) && !rng.random_bool(LOSS));
@@ -55,9 +55,8 @@ impl<'a> FrontEnd<'a> {
         }
         let mut observations = Vec::with_capacity(2 * self.alive.len());
         for (camera, sensor) in cameras.iter().enumerate() {
-            let camera_from_world = world_from_imu.compose(&sensor.imu_from_camera).inverse();
             for (landmark, feature_id) in &self.alive {
-                let exact = project(sensor, &camera_from_world.transform(&landmarks[*landmark].position));
+                let exact = exposure.project(sensor, &landmarks[*landmark].position);
                 let noisy = exact.map(|pixel| measured(&mut self.rng, self.options, pixel));
                 if let Some(pixel) = noisy.filter(|pixel| sensor.camera.contains(pixel)) {
                     observations.push(TrackObservation {
@@ -90,24 +89,19 @@ pub(crate) fn rounded(pixel: Vector2<f64>) -> Vector2<f64> {
 /// The landmarks that a camera sees, with their exact pixels.
 pub(crate) fn visible(
     options: &SimulationOptions,
-    world_from_imu: &Pose,
+    exposure: &Exposure<'_>,
     sensor: &CameraSensor,
     landmarks: &[Landmark],
 ) -> Vec<(usize, Vector2<f64>)> {
-    let camera_from_world = world_from_imu.compose(&sensor.imu_from_camera).inverse();
     let [near, far] = options.sight_m;
     landmarks
         .iter()
         .enumerate()
         .filter_map(|(index, landmark)| {
-            let point = camera_from_world.transform(&landmark.position);
+            let point = exposure.in_camera(sensor, &landmark.position);
             let is_in_range = point.z >= near && point.norm_squared() <= far * far;
-            is_in_range.then(|| project(sensor, &point)).flatten().map(|pixel| (index, pixel))
+            let pixel = is_in_range.then(|| exposure.project(sensor, &landmark.position)).flatten();
+            pixel.map(|pixel| (index, pixel))
         })
         .collect()
-}
-
-/// The pixel of a point in the camera frame, if it is in the image.
-fn project(sensor: &CameraSensor, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-    sensor.camera.project(point).ok().filter(|pixel| sensor.camera.contains(pixel))
 }

@@ -24,4 +24,5 @@ mod map_consistency;
 mod odometry_consistency;
 mod rendered_flights;
 mod rescue;
+mod rolling_shutter_consistency;
 mod wheel_consistency;

@@ -99,4 +99,6 @@ pub enum Calibrate {
     Intrinsics,
     /// Offset between the clocks of cameras and IMU.
     TimeOffset,
+    /// Readout time of each camera's rolling shutter.
+    ReadoutTime,
 }

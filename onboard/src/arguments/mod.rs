@@ -139,6 +139,13 @@ pub struct RobotArguments {
     /// Calibration to estimate during the run; several are separated by commas
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT", help_heading = ESTIMATOR)]
     pub calibrate: Vec<Calibrate>,
+    /// Time in which a rolling shutter reads an image out, from the first row to the last, seconds; one for all cameras, or one by
+    /// camera separated by commas; 0 for a global shutter [default: the calibration's line_delay times the rows]
+    ///
+    /// The stamp of an image is that of its middle row. An unknown time is found by --calibrate readout-time, from 0 or from what is
+    /// given here; the result is in summary.json.
+    #[arg(long, value_name = "SECONDS[,SECONDS]", value_delimiter = ',', allow_hyphen_values = true, help_heading = ESTIMATOR)]
+    pub readout_time: Vec<f64>,
     /// Do not re-linearize map updates at the PnP solution (the paper's filter without R)
     #[arg(long, help_heading = ESTIMATOR)]
     pub no_relinearize: bool,
@@ -237,6 +244,10 @@ impl RobotArguments {
         config.calibration.extrinsics |= self.calibrate.contains(&Calibrate::Extrinsics);
         config.calibration.intrinsics |= self.calibrate.contains(&Calibrate::Intrinsics);
         config.calibration.time_offset |= self.calibrate.contains(&Calibrate::TimeOffset);
+        config.calibration.readout_time |= self.calibrate.contains(&Calibrate::ReadoutTime);
+        if !self.readout_time.is_empty() {
+            config.readout_times_s.clone_from(&self.readout_time);
+        }
         config.wheels = self.wheels.wheels(config.wheels, contents)?;
         config.validate().map_err(|reason| anyhow::anyhow!("settings of the estimator: {reason}"))?;
         let held = config.max_held_keyframes;

@@ -62,7 +62,7 @@ mod tests {
     fn camera() -> CameraSensor {
         let (focal, centre, distortion) = ([400.0; 2], [320.0, 240.0], Distortion::None);
         let camera = Camera { width: 640, height: 480, focal, centre, distortion };
-        CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 }
+        CameraSensor::new(camera, Pose::identity(), 20.0)
     }
 
     fn frames(names: &str) -> SensorFrames {

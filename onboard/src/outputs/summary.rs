@@ -1,7 +1,7 @@
 //! The summary of a run: `summary.json`.
 
 use super::status_word::status_word;
-use estimator::{EstimatorConfig, LearnedNoise, Status, WheelReport};
+use estimator::{Estimated, EstimatorConfig, LearnedNoise, Status, WheelReport};
 use evaluation::RunScore;
 use robot::Alarm;
 use robot::counts::{
@@ -95,6 +95,9 @@ pub struct Summary {
     pub divergences: Vec<DivergenceSummary>,
     /// Noise levels that the filter learned, or that the settings fixed; none where it was never initialized.
     pub learned_noise: Option<LearnedNoise>,
+    /// Readout time of each camera's rolling shutter at the end, seconds, with its standard deviation, 0 where it was not estimated;
+    /// none where all shutters are global ones.
+    pub readout_times_s: Option<Vec<Estimated>>,
     /// What the wheels did, and their calibration at the end with its standard deviations; none without them.
     pub wheels: Option<WheelReport>,
     /// What contradicted the sensors or the map, and what to do about it.

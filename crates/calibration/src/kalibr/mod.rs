@@ -6,6 +6,7 @@
 //! | `T_cn_cnm1` | takes coordinates in the frame of the camera before to this one's | used where `T_cam_imu` is not there |
 //! | `T_imu_cam` | the inverse, as OpenVINS writes it | `imu_from_camera` |
 //! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | added to the stamps of frames |
+//! | `line_delay` | time from row to row of a rolling shutter, seconds | `readout_s`, that of all rows; stamps are those of the middle row |
 //!
 //! Camera models are `pinhole` (`none`, `radtan`, `equidistant`, `fov`), `ds`, `eucm` and `omni` (`radtan`, `none`), with Kalibr's order of
 //! intrinsics.
@@ -21,7 +22,9 @@ pub use other_programs::is_kimera_left;
 pub use rigs::is_rig;
 pub use topics::{COMPRESSED, camera_topics, chosen_cameras, is_same_camera};
 
-use crate::yaml::{Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
+use crate::yaml::{
+    Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text, readout_time,
+};
 use crate::{CalibrationError, ImuSensor};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
@@ -76,6 +79,9 @@ struct CameraYaml {
     camera_from_previous: Option<MatrixYaml>,
     #[serde(default)]
     timeshift_cam_imu: f64,
+    /// That of `kalibr_calibrate_rs_cameras`.
+    #[serde(default)]
+    line_delay: f64,
     /// The topic of the images that the camera was calibrated with.
     rostopic: Option<String>,
 }
@@ -139,6 +145,8 @@ struct ResultYaml {
 pub struct CameraChain {
     /// Projection and `imu_from_camera` of one or two cameras.
     pub cameras: Vec<(Camera, Pose)>,
+    /// Readout time of each of them, seconds: 0 where the file states none, which is a global shutter.
+    pub readouts_s: Vec<f64>,
     /// Added to the time stamps of the cameras to obtain the IMU's, nanoseconds.
     pub time_offset_ns: i64,
 }
@@ -225,7 +233,7 @@ pub fn read_camera_chain(
         from_imu.push(pose);
     }
     let yaml: Vec<&CameraYaml> = chain.cameras().collect();
-    let (mut cameras, mut shifts) = (Vec::new(), Vec::new());
+    let (mut cameras, mut readouts_s, mut shifts) = (Vec::new(), Vec::new(), Vec::new());
     for (place, &index) in chosen.iter().enumerate() {
         let (Some(camera), Some(pose)) = (yaml.get(index), from_imu.get(index)) else {
             return Err(CalibrationError::entry(
@@ -236,7 +244,10 @@ pub fn read_camera_chain(
                 ),
             ));
         };
-        cameras.push((lens(path, camera, known.get(place))?, pose.inverse()));
+        let projection = lens(path, camera, known.get(place))?;
+        let name = format!("line_delay of cam{index}");
+        readouts_s.push(readout_time(path, &name, camera.line_delay, &projection)?);
+        cameras.push((projection, pose.inverse()));
         shifts.push(time_shift(path, index, camera)?);
     }
     let shift = shifts.first().copied().unwrap_or(0.0);
@@ -249,7 +260,7 @@ pub fn read_camera_chain(
             difference * 1e3
         );
     }
-    Ok(CameraChain { cameras, time_offset_ns: (shift * 1e9).round() as i64 })
+    Ok(CameraChain { cameras, readouts_s, time_offset_ns: (shift * 1e9).round() as i64 })
 }
 
 /// The cameras of a rig that a recording has.
@@ -259,8 +270,9 @@ fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<Came
                        --camera-topic)";
         rig.cameras.get(*index).cloned().ok_or_else(|| CalibrationError::entry(path, problem))
     };
-    let cameras = chosen.iter().map(camera).collect::<Result<_, _>>()?;
-    Ok(CameraChain { cameras, time_offset_ns: rig.time_offset_ns })
+    let cameras = chosen.iter().map(camera).collect::<Result<Vec<_>, _>>()?;
+    let readouts_s = vec![0.0; cameras.len()];
+    Ok(CameraChain { cameras, readouts_s, time_offset_ns: rig.time_offset_ns })
 }
 
 /// Whether a chain states the intrinsics of all of its cameras.

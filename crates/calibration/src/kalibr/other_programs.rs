@@ -92,8 +92,9 @@ pub(super) fn read_kimera_cameras(path: &Path, count: usize) -> Result<CameraCha
         paths.push(right_of(path)?);
     }
     let read = |path: &PathBuf| read_camera(path).map(|sensor| (sensor.camera, sensor.imu_from_camera));
-    let cameras = paths.iter().map(read).collect::<Result<_, _>>()?;
-    Ok(CameraChain { cameras, time_offset_ns: time_offset_ns(&path.with_file_name(KIMERA_IMU))? })
+    let cameras = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    let readouts_s = vec![0.0; cameras.len()];
+    Ok(CameraChain { cameras, readouts_s, time_offset_ns: time_offset_ns(&path.with_file_name(KIMERA_IMU))? })
 }
 
 /// The file of the right camera.

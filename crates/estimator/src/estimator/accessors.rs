@@ -2,12 +2,13 @@
 
 use super::Estimator;
 use crate::KeyframeId;
-use crate::calibration::{CalibratedCamera, Calibration};
+use crate::calibration::{CalibratedCamera, Calibration, row_reach_ns};
 use crate::config::EstimatorConfig;
 use crate::motion::{Motion, MotionPredictor};
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuMatrix};
 use crate::state::{Block, CloneId, rotation_adjoint};
+use crate::wheels::report::Estimated;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, Matrix6, Vector3};
 use types::ImuNoise;
@@ -29,6 +30,12 @@ impl Estimator {
         image_stamp_ns + (self.state.calibration.time_offset * 1e9).round() as i64
     }
 
+    /// Time of the last row of an image by the IMU's clock, nanoseconds: where a [`time_update`](Self::time_update) has IMU samples up to
+    /// there, it extrapolates no motion. With global shutters the same as [`Self::imu_stamp_ns`].
+    pub fn last_row_ns(&self, image_stamp_ns: i64) -> i64 {
+        self.imu_stamp_ns(image_stamp_ns) + row_reach_ns(&self.state.calibration.cameras)
+    }
+
     /// Estimated cameras and time offset.
     pub fn calibration(&self) -> &Calibration {
         &self.state.calibration
@@ -42,6 +49,22 @@ impl Estimator {
             .view()
             .view((range.start, range.start), (range.len(), range.len()))
             .into_owned()
+    }
+
+    /// Readout time of each camera, seconds, with its standard deviation: 0 where it is not estimated. `None` where all shutters are
+    /// global ones.
+    pub fn readout_times(&self) -> Option<Vec<Estimated>> {
+        let calibration = &self.state.calibration;
+        let begin = self.state.range(Block::Calibration).unwrap_or_default().start;
+        let variance = |index: usize| self.covariance.active()[(begin + index, begin + index)];
+        let of_camera = |(camera, calibrated): (usize, &CalibratedCamera)| {
+            let sigma =
+                calibration.readout_index(camera).map_or(0.0, |index| variance(index).max(0.0).sqrt());
+            Estimated { value: calibrated.readout_s, sigma }
+        };
+        calibration
+            .has_rolling_shutter()
+            .then(|| calibration.cameras.iter().enumerate().map(of_camera).collect())
     }
 
     /// IMU pose in L, with the covariance of its error `[δθ, δp]` in L (rad, metres).

@@ -26,7 +26,7 @@ impl Estimator {
     /// # let camera = Camera {
     /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
     /// # };
-    /// # let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+    /// # let cameras = vec![CalibratedCamera::new(camera, Pose::identity())];
     /// # let (rest, down) = (Vector3::zeros(), -Vector3::z());
     /// # let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
     /// # let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;

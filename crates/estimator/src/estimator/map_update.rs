@@ -44,7 +44,7 @@ impl Estimator {
     /// # let camera = Camera {
     /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
     /// # };
-    /// # let cameras = vec![CalibratedCamera { camera: camera.clone(), imu_from_camera: Pose::identity() }];
+    /// # let cameras = vec![CalibratedCamera::new(camera.clone(), Pose::identity())];
     /// # let (rest, down) = (Vector3::zeros(), -Vector3::z());
     /// # let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
     /// # let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;
@@ -96,6 +96,7 @@ impl Estimator {
         let common_dim = held.and_then(HeldKeyframes::common_dim);
         let answer =
             restricted.without_invalid(&|id| held.and_then(|held| held.map_covariance(id)), common_dim);
+        let answer = self.seen_from_the_image(clone, answer);
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),

@@ -8,7 +8,9 @@ mod map_revision;
 mod map_update;
 mod outlier_test;
 mod rescue;
+mod row_motion;
 pub mod status;
+mod still_pixels;
 mod time_update;
 mod track_update;
 mod wheel_update;
@@ -70,7 +72,7 @@ const OUTLIER_SIGMAS: f64 = 5.0;
 ///     centre: [320.0, 240.0],
 ///     distortion: Distortion::None,
 /// };
-/// let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+/// let cameras = vec![CalibratedCamera::new(camera, Pose::identity())];
 /// // A known pose in a frame with z up, at rest.
 /// let start = InitialState::from_truth(
 ///     0,
@@ -165,6 +167,7 @@ impl Estimator {
         for (camera, calibrated) in cameras.iter().enumerate() {
             calibrated.camera.validate().map_err(|source| ConfigError::Camera { camera, source })?;
         }
+        let cameras = config.with_readout_times(cameras);
         let calibration = Calibration::new(cameras, config.camera_time_offset_s, config.calibration);
         let covariance = initial_covariance(&initial.covariance, &calibration, config.wheels.as_ref());
         let covariance = JointCovariance::new(covariance, config.max_active_keyframes);

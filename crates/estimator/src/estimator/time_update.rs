@@ -7,6 +7,7 @@ use crate::health::Divergence;
 use crate::map_update::map_fix::ImuMotion;
 use crate::motion::AngularRate;
 use crate::propagation::{IMU_DIM, MotionEstimate, Propagation};
+use crate::rolling_shutter::motion_around::TimedPoses;
 use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
 use nalgebra::Vector3;
 use smallvec::SmallVec;
@@ -14,7 +15,7 @@ use std::ops::Range;
 use types::ImuSample;
 
 /// Maximum time by which the IMU samples may end before an image, nanoseconds.
-const IMU_SLACK_NS: i64 = 20_000_000;
+pub(super) const IMU_SLACK_NS: i64 = 20_000_000;
 
 /// Longest gap between IMU samples that is bridged, nanoseconds. The attitude is uncertain by 0.5 rad a second in it, and beyond
 /// this, updates are too far from linear: the state may run away.
@@ -55,9 +56,10 @@ impl Estimator {
         if to_ns <= from_ns && !self.state.clones.is_empty() || to_ns < from_ns {
             return Err(EstimatorError::OldFrame { stamp_ns, state_ns: from_ns });
         }
+        let mut motion_before = None;
         if to_ns > from_ns {
             let before = self.state.imu;
-            self.propagate_to(to_ns)?;
+            motion_before = self.propagate_to(to_ns)?;
             let gravity = -Vector3::z() * self.config.gravity;
             let since_ns = self.state.clones.last().map_or(from_ns, |newest| newest.stamp_ns);
             let motion = ImuMotion::between(&before, &self.state.imu, [since_ns, stamp_ns], &gravity);
@@ -69,12 +71,14 @@ impl Estimator {
         self.check_health()?;
         // `track_update` may be left out for an image without tracks.
         self.marginalize_old_clones();
-        let clone = self.clone_pose(stamp_ns);
+        let clone = self.clone_pose(stamp_ns, &motion_before.unwrap_or_default());
         self.wheel_updates()?;
         Ok(clone)
     }
 
-    fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
+    /// # Returns
+    /// The motion before `stamp_ns`, where cameras have a rolling shutter.
+    fn propagate_to(&mut self, stamp_ns: i64) -> Result<Option<TimedPoses>, EstimatorError> {
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
         let gap_ns = self.imu.longest_gap_ns(self.state.stamp_ns, stamp_ns);
         if gap_ns > MAX_GAP_NS {
@@ -86,6 +90,10 @@ impl Estimator {
         if self.config.first_estimates {
             first_estimates::renew(&mut self.state, &mut self.covariance);
         }
+        let has_rolling_shutter = self.has_rolling_shutter();
+        if has_rolling_shutter {
+            self.note_motion_after(&readings);
+        }
         let mut propagation = self.propagation();
         readings.windows(2).for_each(|pair| propagation.step(&pair[0], &pair[1]));
         let propagated = propagation.end();
@@ -95,7 +103,7 @@ impl Estimator {
         self.state.stamp_ns = stamp_ns;
         self.state.first_motion = MotionEstimate::of(&propagated.state);
         self.imu.remove_before(stamp_ns);
-        Ok(())
+        Ok(has_rolling_shutter.then(|| self.motion_before(&readings)))
     }
 
     /// A propagation from the state, with nothing integrated yet.
@@ -107,7 +115,10 @@ impl Estimator {
     }
 
     /// Stochastic cloning: the newest pose is appended to the state with its correlations.
-    fn clone_pose(&mut self, stamp_ns: i64) -> CloneId {
+    ///
+    /// # Arguments
+    /// * `motion_before`: of a rolling shutter.
+    fn clone_pose(&mut self, stamp_ns: i64, motion_before: &TimedPoses) -> CloneId {
         let id = CloneId(self.next_clone);
         self.next_clone += 1;
         let dim = self.state.dim();
@@ -122,12 +133,14 @@ impl Estimator {
             self.covariance.add_dependence(dim, &motion, IMU_DIM);
         }
         let pose = self.state.imu.local_from_imu;
+        let motion = self.has_rolling_shutter().then(|| self.motion_around(stamp_ns, motion_before));
         self.state.clones.push(ClonedPose {
             id,
             stamp_ns,
             local_from_imu: pose,
             first_estimate: pose,
             pinned: false,
+            motion,
         });
         id
     }

@@ -49,7 +49,7 @@ impl Estimator {
     /// # let camera = Camera {
     /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
     /// # };
-    /// # let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+    /// # let cameras = vec![CalibratedCamera::new(camera, Pose::identity())];
     /// # let (rest, down) = (Vector3::zeros(), -Vector3::z());
     /// # let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
     /// # let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;
@@ -117,7 +117,7 @@ impl Estimator {
         for index in clones_beyond_window(&self.state, self.config.window) {
             self.tracks.take_starting_at(self.state.clones[index].id, &mut update.finished);
         }
-        if self.msckf_settings.stationary && self.state.calibration.dim() > 0 {
+        if self.msckf_settings.stationary && self.state.calibration.shows_at_rest() {
             // An image that does not change repeats the same information on the calibration with the same linearization
             // error, which would make the calibration inconsistent.
             self.tracks.recycle(&mut update.finished);

@@ -110,7 +110,7 @@ pub enum InitStatus {
 ///     centre: [320.0, 240.0],
 ///     distortion: Distortion::None,
 /// };
-/// let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+/// let cameras = vec![CalibratedCamera::new(camera, Pose::identity())];
 /// let config = EstimatorConfig::default();
 /// let mut initializer = Initializer::new(config.clone(), cameras.clone());
 /// for k in 0..=200 {
@@ -150,8 +150,8 @@ impl Initializer {
     /// An initializer for the first initialization.
     pub fn new(config: EstimatorConfig, cameras: Vec<CalibratedCamera>) -> Self {
         Self {
+            cameras: config.with_readout_times(cameras),
             config,
-            cameras,
             imu: ImuBuffer::default(),
             images: VecDeque::new(),
             rest: None,

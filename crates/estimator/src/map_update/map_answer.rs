@@ -33,7 +33,8 @@ impl MapKeyframe {
 /// A landmark of the map that is matched with a feature of the image.
 #[derive(Clone, Debug)]
 pub struct MatchedLandmark {
-    /// Its pixel in the current image, as the camera sees it (distorted).
+    /// Its pixel in the current image, as the camera sees it (distorted); of a rolling shutter the
+    /// [`still_pixel`](crate::Estimator::still_pixel).
     pub pixel: Vector2<f64>,
     /// The keyframe in whose camera frame its position is given.
     pub anchor: KeyframeId,

@@ -227,11 +227,11 @@ impl FeatureMeasurement {
         Ok(())
     }
 
-    /// The non-zero columns: calibration, then the clones from the first to the last observing one.
+    /// The non-zero columns: calibration, then the clones from the first to the last one that a pixel depends on.
     fn spans(&self, layout: &Layout) -> [Range<usize>; 2] {
-        let clones = self.pixels.iter().map(|pixel| pixel.clone_index);
+        let spans = self.pixels.iter().map(PixelMeasurement::clone_span);
         let (first, last) =
-            clones.fold((usize::MAX, 0), |(low, high), index| (low.min(index), high.max(index)));
+            spans.fold((usize::MAX, 0), |(low, high), (first, last)| (low.min(first), high.max(last)));
         [0..layout.calibration.len(), layout.clone_column(first.min(last))..layout.clone_column(last + 1)]
     }
 
@@ -300,8 +300,9 @@ mod tests {
     use super::*;
     use crate::measurement::StateBlocks;
     use crate::odometry::pixel_measurement::linearize_pixel;
+    use crate::rolling_shutter::row_pose::{Estimates, RowPose};
     use crate::state::POSE_DIM;
-    use crate::test_scene::{Scene, scene};
+    use crate::test_scene::{Scene, rolling_scene, scene};
     use geometry::Pose;
     use geometry::numeric::numeric_jacobian;
     use nalgebra::DMatrix;
@@ -334,19 +335,28 @@ mod tests {
         let layout = Layout::of(&scene.state);
         let (begin, width) = (layout.calibration.len(), layout.len());
         numeric_jacobian(width + 3, |error| {
-            let mut calibration = scene.state.calibration.clone();
-            calibration.retract(&error.rows(0, begin));
+            let mut state = scene.state.clone();
+            state.calibration.retract(&error.rows(0, begin));
+            for (index, clone) in state.clones.iter_mut().enumerate() {
+                let step = error.fixed_rows::<6>(begin + POSE_DIM * index).into();
+                clone.local_from_imu = clone.local_from_imu.retract(&step);
+            }
             let point = scene.landmark + error.fixed_rows::<3>(width);
             let pixels = scene.observations.iter().flat_map(|observation| {
-                let index = scene.state.clone_index(observation.clone).unwrap();
-                let step = error.fixed_rows::<6>(begin + POSE_DIM * index).into();
-                let pose = scene.state.clones[index].local_from_imu.retract(&step);
-                let calibrated = &calibration.cameras[usize::from(observation.camera)];
-                let pixel = calibrated.predict(&pose, &point).unwrap() / scene.sigma_px;
+                let index = state.clone_index(observation.clone).unwrap();
+                let camera = usize::from(observation.camera);
+                let row = RowPose::of(&state, index, camera, &observation.pixel, Estimates::Newest);
+                let calibrated = &state.calibration.cameras[camera];
+                let pixel = calibrated.predict(&row.local_from_imu, &point).unwrap() / scene.sigma_px;
                 [pixel.x, pixel.y]
             });
             DVector::from_iterator(2 * scene.observations.len(), pixels)
         })
+    }
+
+    /// A known calibration, one that is estimated, and a rolling shutter whose readout time is.
+    fn scenes() -> [Scene; 3] {
+        [scene(false), scene(true), rolling_scene(0.03, true)]
     }
 
     fn residual(rows: &FeatureMeasurement) -> DVector<f64> {
@@ -362,17 +372,24 @@ mod tests {
 
     #[test]
     fn translation_and_rotation_about_gravity_are_unobservable() {
-        let scene = scene(false);
-        for first_estimates in [true, false] {
-            let mut rows = linearized(&scene, first_estimates);
-            let information = information(&scene, &mut rows);
-            let mut gauge = DMatrix::zeros(POSE_DIM * scene.state.clones.len(), 4);
+        // Also where the clones differ from the motion by the readings.
+        let rolling = rolling_scene(0.03, false);
+        let still_rolling = rolling_scene(0.0, false);
+        for (scene, first_estimates) in
+            [scene(false), rolling, still_rolling].iter().flat_map(|scene| [(scene, true), (scene, false)])
+        {
+            let mut rows = linearized(scene, first_estimates);
+            let information = information(scene, &mut rows);
+            let begin = scene.state.calibration.dim();
+            let mut gauge = DMatrix::zeros(begin + POSE_DIM * scene.state.clones.len(), 4);
             for (index, clone) in scene.state.clones.iter().enumerate() {
                 let at = if first_estimates { clone.first_estimate } else { clone.local_from_imu };
                 let up = Vector3::z();
-                gauge.fixed_view_mut::<3, 1>(POSE_DIM * index, 0).copy_from(&up);
-                gauge.fixed_view_mut::<3, 1>(POSE_DIM * index + 3, 0).copy_from(&up.cross(&at.translation));
-                gauge.fixed_view_mut::<3, 3>(POSE_DIM * index + 3, 1).fill_with_identity();
+                gauge.fixed_view_mut::<3, 1>(begin + POSE_DIM * index, 0).copy_from(&up);
+                gauge
+                    .fixed_view_mut::<3, 1>(begin + POSE_DIM * index + 3, 0)
+                    .copy_from(&up.cross(&at.translation));
+                gauge.fixed_view_mut::<3, 3>(begin + POSE_DIM * index + 3, 1).fill_with_identity();
             }
             let seen = information.matrix.view() * gauge;
             assert!(
@@ -386,8 +403,7 @@ mod tests {
 
     #[test]
     fn the_information_is_that_of_the_pixels_with_the_landmark_eliminated() {
-        for calibrating in [false, true] {
-            let scene = scene(calibrating);
+        for scene in scenes() {
             let mut rows = linearized(&scene, false);
             let information = information(&scene, &mut rows);
             let numeric = numeric(&scene);
@@ -418,8 +434,7 @@ mod tests {
 
     #[test]
     fn residuals_seen_from_another_estimate_are_those_there() {
-        for calibrating in [false, true] {
-            let mut scene = scene(calibrating);
+        for mut scene in scenes() {
             let layout = Layout::of(&scene.state);
             let here = residual(&linearized(&scene, false));
             let ahead = DVector::from_fn(scene.state.dim(), |k, _| 1e-4 * (1.3 * k as f64).sin());
@@ -479,8 +494,7 @@ mod tests {
 
     #[test]
     fn the_nis_is_that_of_the_projected_rows() {
-        for calibrating in [false, true] {
-            let scene = scene(calibrating);
+        for scene in scenes() {
             let mut rows = linearized(&scene, false);
             let layout = Layout::of(&scene.state);
             let dim = scene.state.dim();

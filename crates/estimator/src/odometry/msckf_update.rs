@@ -15,9 +15,10 @@ use crate::noise_adaptation::TRACKS_PER_IMAGE;
 use crate::odometry::feature_measurement::{DelayedInitialization, FeatureMeasurement};
 use crate::odometry::pixel_measurement::{Layout, linearize_pixel};
 use crate::odometry::tracks::{CloneObservation, Track};
+use crate::rolling_shutter::row_pose::{Estimates, RowPose};
 use crate::state::{ActiveState, Block};
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
-use geometry::{Camera, Triangulated};
+use geometry::{Camera, Pose, Triangulated};
 use nalgebra::{DVector, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 use smallvec::SmallVec;
 
@@ -245,7 +246,11 @@ fn calibration_error_px(state: &ActiveState, covariance: &JointCovariance) -> f6
     } else {
         0.0
     };
-    3.0 * (of_camera + of_clock).sqrt()
+    let of_readout = state.calibration.readout_index(0).map_or(0.0, |index| {
+        // That of the first and the last row.
+        variance(index) * (0.5 * MAX_ANGULAR_VELOCITY * camera.focal[0]).powi(2)
+    });
+    3.0 * (of_camera + of_clock + of_readout).sqrt()
 }
 
 /// Triangulates in L; drops the worst observation as long as it is an outlier and enough are left.
@@ -274,10 +279,9 @@ fn triangulate_robustly(
         let mut views = Views::new();
         for observation in observations.iter() {
             let calibrated: &CalibratedCamera = &cameras[usize::from(observation.camera)];
-            let clone = &state.clones[state.clone_index(observation.clone)?];
             view_cameras.push(&calibrated.camera);
             views.push(View {
-                parent_from_camera: clone.local_from_imu * calibrated.imu_from_camera,
+                parent_from_camera: local_from_imu(state, observation)? * calibrated.imu_from_camera,
                 pixel: observation.pixel,
                 sigma_px,
             });
@@ -300,6 +304,13 @@ fn triangulate_robustly(
         }
     }
     None
+}
+
+/// The newest estimate of the IMU's pose when a pixel was taken.
+fn local_from_imu(state: &ActiveState, observation: &CloneObservation) -> Option<Pose> {
+    let clone = state.clone_index(observation.clone)?;
+    let camera = usize::from(observation.camera);
+    Some(RowPose::of(state, clone, camera, &observation.pixel, Estimates::Newest).local_from_imu)
 }
 
 /// Whether the depth of a landmark observed by the newest clone is accurate enough for a SLAM feature.
@@ -327,10 +338,9 @@ struct DistantPoint {
 fn distant_point(state: &ActiveState, observations: &[CloneObservation]) -> Option<DistantPoint> {
     let first = observations.first()?;
     let calibrated = state.calibration.cameras.get(usize::from(first.camera))?;
-    let clone = &state.clones[state.clone_index(first.clone)?];
     let seen = calibrated.camera.unproject(&first.pixel).ok()?;
     let away = Vector3::new(seen.x, seen.y, 1.0) * DISTANT_M;
-    let local_from_camera = clone.local_from_imu * calibrated.imu_from_camera;
+    let local_from_camera = local_from_imu(state, first)? * calibrated.imu_from_camera;
     let along = (local_from_camera.rotation * away).normalize();
     Some(DistantPoint {
         position: local_from_camera.transform(&away),
@@ -344,7 +354,7 @@ mod tests {
     use crate::linear_algebra::dense::Dense;
     use crate::state::CloneId;
     use crate::test_scene::scene;
-    use geometry::{Pose, rotation};
+    use geometry::rotation;
     use nalgebra::DMatrix;
 
     fn settings() -> MsckfSettings {

@@ -1,9 +1,10 @@
-//! The linearized measurement of one pixel: two whitened rows over the calibration of its camera, its clone and the
-//! landmark.
+//! The linearized measurement of one pixel: two whitened rows over the calibration of its camera, its clone, with a rolling
+//! shutter the clone beside it, and the landmark.
 
 use crate::calibration::{CAMERA_DIM, CameraJacobian};
 use crate::linear_algebra::dense::Dense;
 use crate::measurement::Information;
+use crate::rolling_shutter::row_pose::{Estimates, RowPose};
 use crate::state::{ActiveState, Block, CloneId, POSE_DIM};
 use nalgebra::{DVector, Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
 use smallvec::SmallVec;
@@ -18,6 +19,8 @@ pub struct PixelMeasurement {
     pub clone_index: usize,
     /// With respect to the error of the clone.
     pub wrt_clone: Matrix2x6<f64>,
+    /// Index of the clone beside it that the row's pose depends on, and with respect to its error; `None` with a global shutter.
+    pub neighbour: Option<(usize, Matrix2x6<f64>)>,
     /// With respect to the position of the landmark in L.
     pub wrt_landmark: Matrix2x3<f64>,
     /// With respect to the error of the camera; only the columns that are estimated are used.
@@ -75,27 +78,41 @@ pub fn linearize_pixel(
 ) -> Option<PixelMeasurement> {
     let (clone, camera, pixel) = observed;
     let index = state.clone_index(clone)?;
-    let clone = &state.clones[index];
     let calibrated = state.calibration.cameras.get(camera)?;
-    let (projection, predicted) = if let Some(first) = first {
+    let row_at = |estimates| RowPose::of(state, index, camera, &pixel, estimates);
+    let (row, projection, predicted) = if let Some(first) = first {
+        let row = row_at(Estimates::First);
         (
-            calibrated.predict_with_jacobians(&clone.first_estimate, first)?,
-            calibrated.predict(&clone.local_from_imu, landmark)?,
+            row,
+            calibrated.predict_with_jacobians(&row.local_from_imu, first)?,
+            calibrated.predict(&row_at(Estimates::Newest).local_from_imu, landmark)?,
         )
     } else {
-        let projection = calibrated.predict_with_jacobians(&clone.local_from_imu, landmark)?;
-        (projection, projection.pixel)
+        let row = row_at(Estimates::Newest);
+        let projection = calibrated.predict_with_jacobians(&row.local_from_imu, landmark)?;
+        (row, projection, projection.pixel)
     };
     let whiten = 1.0 / sigma_px;
-    let wrt_camera = if state.calibration.dim() > 0 {
+    let mut wrt_camera = if state.calibration.dim() > 0 {
         state.calibration.camera_jacobian(camera, &projection) * whiten
     } else {
         CameraJacobian::zeros()
     };
+    let wrt_row = projection.wrt_body * whiten;
+    let (mut wrt_clone, mut neighbour) = (wrt_row, None);
+    if let Some(dependence) = &row.dependence {
+        wrt_clone = dependence.own.chain(&wrt_row);
+        neighbour = dependence.neighbour.map(|(index, part)| (index, part.chain(&wrt_row)));
+        if let Some(readout) = state.calibration.readout_index(camera) {
+            let column = readout - state.calibration.camera_range(camera).start;
+            wrt_camera.set_column(column, &(wrt_row * dependence.by_readout));
+        }
+    }
     Some(PixelMeasurement {
         camera,
         clone_index: index,
-        wrt_clone: projection.wrt_body * whiten,
+        wrt_clone,
+        neighbour,
         wrt_landmark: projection.wrt_landmark * whiten,
         wrt_camera,
         residual: (pixel - predicted) * whiten,
@@ -126,8 +143,11 @@ pub type JacobianBlocks = SmallVec<[JacobianBlock; 3]>;
 impl PixelMeasurement {
     /// The linearized change of the pixel by an error of the active state, with the landmark where it is.
     pub fn change(&self, state: &ActiveState, layout: &Layout, error: &DVector<f64>) -> Vector2<f64> {
-        let begin = layout.clones.start + POSE_DIM * self.clone_index;
-        let mut change = self.wrt_clone * error.fixed_rows::<POSE_DIM>(begin);
+        let of_clone = |index: usize| error.fixed_rows::<POSE_DIM>(layout.clones.start + POSE_DIM * index);
+        let mut change = self.wrt_clone * of_clone(self.clone_index);
+        if let Some((index, wrt_neighbour)) = &self.neighbour {
+            change += wrt_neighbour * of_clone(*index);
+        }
         if !layout.calibration.is_empty() {
             let range = state.calibration.camera_range(self.camera);
             let own = error.rows(layout.calibration.start + range.start, range.len());
@@ -136,11 +156,20 @@ impl PixelMeasurement {
         change
     }
 
+    /// Indices of the first and the last clone that it depends on.
+    pub(crate) fn clone_span(&self) -> (usize, usize) {
+        let other = self.neighbour.as_ref().map_or(self.clone_index, |(index, _)| *index);
+        (self.clone_index.min(other), self.clone_index.max(other))
+    }
+
     /// Its non-zero blocks in the active error, without the landmark.
     pub fn blocks(&self, state: &ActiveState, layout: &Layout) -> JacobianBlocks {
         let mut blocks = JacobianBlocks::new();
-        let begin = layout.clones.start + POSE_DIM * self.clone_index;
-        blocks.push(JacobianBlock::new(begin, POSE_DIM, self.wrt_clone.as_slice()));
+        let begin = |index: usize| layout.clones.start + POSE_DIM * index;
+        blocks.push(JacobianBlock::new(begin(self.clone_index), POSE_DIM, self.wrt_clone.as_slice()));
+        if let Some((index, wrt_neighbour)) = &self.neighbour {
+            blocks.push(JacobianBlock::new(begin(*index), POSE_DIM, wrt_neighbour.as_slice()));
+        }
         if !layout.calibration.is_empty() {
             let range = state.calibration.camera_range(self.camera);
             let begin = layout.calibration.start + range.start;
@@ -200,11 +229,15 @@ pub(crate) fn columns_of<'a>(
     state: &ActiveState,
     layout: &Layout,
 ) -> impl Iterator<Item = (usize, Vector2<f64>)> + Clone + 'a {
-    let clone = layout.clone_column(pixel.clone_index);
+    let own = (layout.clone_column(pixel.clone_index), &pixel.wrt_clone);
+    let other = pixel.neighbour.as_ref().map(|(index, wrt)| (layout.clone_column(*index), wrt));
+    let (before, after): (Option<(usize, &Matrix2x6<f64>)>, _) =
+        if other.is_some_and(|(column, _)| column < own.0) { (other, None) } else { (None, other) };
     let camera =
         if layout.calibration.is_empty() { 0..0 } else { state.calibration.camera_range(pixel.camera) };
     let wrt_camera = camera.zip(pixel.wrt_camera.column_iter());
-    let wrt_clone = (clone..clone + POSE_DIM).zip(pixel.wrt_clone.column_iter());
+    let clones = before.into_iter().chain(std::iter::once(own)).chain(after);
+    let wrt_clone = clones.flat_map(|(begin, wrt)| (begin..begin + POSE_DIM).zip(wrt.column_iter()));
     let wrt_camera = wrt_camera.map(|(column, own)| (column, own.into_owned()));
     wrt_camera.chain(wrt_clone.map(|(column, own)| (column, own.into_owned())))
 }

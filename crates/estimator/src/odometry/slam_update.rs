@@ -105,10 +105,13 @@ impl SlamUpdate {
         }));
     }
 
-    /// Stacks all accepted pixels: rows over `[calibration, SLAM features, newest clone]`.
+    /// Stacks all accepted pixels: rows over `[calibration, SLAM features, newest clone]`, with a rolling shutter the newest two
+    /// clones.
     fn stack(&mut self, state: &ActiveState, layout: &Layout) {
         let features = state.slam_features_range();
-        let clone = layout.clones.end - POSE_DIM..layout.clones.end;
+        let has_neighbours = self.accepted.iter().any(|(_, rows)| rows.neighbour.is_some());
+        let clones = if has_neighbours { 2 } else { 1 };
+        let clone = layout.clones.end - clones * POSE_DIM..layout.clones.end;
         let columns = &mut self.rows.blocks;
         columns.keyframes.clear();
         columns.active.clear();
@@ -129,6 +132,9 @@ impl SlamUpdate {
             let column = calibration + FEATURE_DIM * index;
             jacobian.fixed_view_mut::<2, 3>(2 * k, column).copy_from(&rows.wrt_landmark);
             jacobian.fixed_view_mut::<2, 6>(2 * k, width - POSE_DIM).copy_from(&rows.wrt_clone);
+            if let Some((_, wrt_neighbour)) = &rows.neighbour {
+                jacobian.fixed_view_mut::<2, 6>(2 * k, width - 2 * POSE_DIM).copy_from(wrt_neighbour);
+            }
             self.rows.residual.extend(rows.residual.iter());
         }
     }

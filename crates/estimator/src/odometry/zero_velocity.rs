@@ -184,7 +184,7 @@ mod tests {
             centre: [375.5, 239.5],
             distortion: Distortion::None,
         };
-        let cameras = [CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+        let cameras = [CalibratedCamera::new(camera, Pose::identity())];
         let points: Vec<Vector3<f64>> = (0..count)
             .map(|_| {
                 let depth = rng.random_range(2.0..10.0);
@@ -216,6 +216,7 @@ mod tests {
                 local_from_imu: estimated,
                 first_estimate: estimated,
                 pinned: false,
+                motion: None,
             });
         }
         let imu = ImuState {

@@ -59,10 +59,7 @@ impl World {
         let landmarks = landmarks.collect();
         let turn = rotation::exp(&Vector3::new(0.1, -0.05, 1.2));
         Self {
-            calibrated: CalibratedCamera {
-                camera,
-                imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.0, 0.05)),
-            },
+            calibrated: CalibratedCamera::new(camera, Pose::new(rotation, Vector3::new(0.1, 0.0, 0.05))),
             landmarks,
             global_from_local: Pose::new(turn, Vector3::new(30.0, -12.0, 2.0)),
         }

@@ -85,8 +85,7 @@ impl Place {
             .map(|_| Pose::new(rotation::exp(&small(&mut rng, 0.05)), small(&mut rng, 0.5)))
             .collect();
         let landmarks = observations(&mut rng, &truth);
-        let sensor =
-            sensors::CameraSensor { camera: camera(), imu_from_camera: Pose::identity(), rate_hz: 1.0 };
+        let sensor = sensors::CameraSensor::new(camera(), Pose::identity(), 1.0);
         let reference = |view: usize, rng: &mut StdRng| {
             let covariance = isotropic_covariance(SIGMA_POSE, SIGMA_POSE);
             let error = nalgebra::Vector6::from_fn(|_, _| normal(rng) * SIGMA_POSE);

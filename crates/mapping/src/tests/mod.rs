@@ -73,7 +73,7 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
             imu_samples: Vec::new(),
             wheels: None,
             wheel_readings: Vec::new(),
-            cameras: vec![CameraSensor { camera: camera.clone(), imu_from_camera, rate_hz: 1.0 }],
+            cameras: vec![CameraSensor::new(camera.clone(), imu_from_camera, 1.0)],
             frames: Vec::new(),
             groundtruth: None,
             reference_poses: None,

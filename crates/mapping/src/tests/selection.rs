@@ -29,10 +29,9 @@ fn sequence() -> Sequence {
         centre: [80.0, 60.0],
         distortion: Distortion::RadialTangential([0.0; 4]),
     };
-    let sensor = |x| CameraSensor {
-        camera: camera.clone(),
-        imu_from_camera: Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0)),
-        rate_hz: 20.0,
+    let sensor = |x| {
+        let mounted = Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0));
+        CameraSensor::new(camera.clone(), mounted, 20.0)
     };
     let image = |offset: usize| {
         let brightness = |x: usize, y: usize| {

@@ -14,6 +14,8 @@ use std::path::{Path, PathBuf};
 /// The calibration of the sensors of a bag, without the rates that it does not state.
 pub(super) struct BagCalibration {
     cameras: Cameras,
+    /// Readout times of rolling shutters that a camera chain states, by camera, seconds.
+    readouts_s: Vec<f64>,
     imu: Option<Imu>,
     wheels: Option<WheelSensor>,
     /// Added to the stamps of the images, nanoseconds.
@@ -43,11 +45,14 @@ impl BagCalibration {
             None => None,
         };
         let sensor =
-            |((camera, imu_from_camera), &rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
-        let cameras = match self.cameras {
+            |((camera, imu_from_camera), &rate_hz)| CameraSensor::new(camera, imu_from_camera, rate_hz);
+        let mut cameras: Vec<CameraSensor> = match self.cameras {
             Cameras::WithoutRates(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
             Cameras::Complete(cameras) => cameras,
         };
+        for (camera, readout_s) in cameras.iter_mut().zip(self.readouts_s) {
+            camera.readout_s = readout_s;
+        }
         Ok(SensorCalibration { imu, cameras, wheels: self.wheels })
     }
 }
@@ -65,7 +70,7 @@ pub(super) fn read(
     let path = bag.path();
     let is_named = files.cameras.is_some();
     let (root, files) = files_of(path, files)?;
-    let (cameras, time_offset_ns) = match &files.cameras {
+    let (cameras, readouts_s, time_offset_ns) = match &files.cameras {
         Some(file) => {
             let infos = camera_infos(bag, sensors)?;
             let topics = bag.topics();
@@ -73,13 +78,14 @@ pub(super) fn read(
                 sensors.cameras.iter().map(|camera| topics[camera.images].name.as_str()).collect();
             let has_topic = |of: &str| topics.iter().any(|topic| kalibr::is_same_camera(&topic.name, of));
             let chosen = kalibr::chosen_cameras(file, &names, has_topic)?;
-            let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos, &chosen)?;
-            (Cameras::WithoutRates(cameras), time_offset_of(bag, file, time_offset_ns))
+            let CameraChain { cameras, readouts_s, time_offset_ns } =
+                kalibr::read_camera_chain(file, &infos, &chosen)?;
+            (Cameras::WithoutRates(cameras), readouts_s, time_offset_of(bag, file, time_offset_ns))
         }
         None if is_named || euroc_path(&root, "cam0").is_file() => {
-            (Cameras::Complete(euroc_cameras(path, &root, sensors.cameras.len())?), 0)
+            (Cameras::Complete(euroc_cameras(path, &root, sensors.cameras.len())?), Vec::new(), 0)
         }
-        None => (recorded_cameras(bag, &root, sensors)?, 0),
+        None => (recorded_cameras(bag, &root, sensors)?, Vec::new(), 0),
     };
     let imu = match (sensors.imu, files.imu) {
         (None, _) => None,
@@ -87,7 +93,7 @@ pub(super) fn read(
         (Some(_), None) => Some(Imu::Complete(imu_without_kalibr(bag, &root)?)),
     };
     let wheels = wheels.and_then(|wheels| wheels.calibration(bag, sensors.imu));
-    Ok(BagCalibration { cameras, imu, wheels, time_offset_ns })
+    Ok(BagCalibration { cameras, readouts_s, imu, wheels, time_offset_ns })
 }
 
 /// The offset of a camera chain, which images that Driftless recorded have in their stamps already.
@@ -110,7 +116,7 @@ fn recorded_cameras(bag: &Bag, root: &Path, sensors: &BagSensors) -> Result<Came
             let path = bag.path().display();
             tracing::info!("{path}: the cameras are calibrated by the recorded CameraInfo and /tf_static");
             let sensor =
-                |((camera, imu_from_camera), rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
+                |((camera, imu_from_camera), rate_hz)| CameraSensor::new(camera, imu_from_camera, rate_hz);
             Ok(match recorded::rates_hz(bag, sensors) {
                 Some(rates_hz) => Cameras::Complete(cameras.into_iter().zip(rates_hz).map(sensor).collect()),
                 None => Cameras::WithoutRates(cameras),

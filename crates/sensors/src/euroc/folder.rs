@@ -87,10 +87,12 @@ impl FolderCalibration {
             });
         };
         let chain = kalibr::read_camera_chain(path, &vec![None; count], &[0, 1][..count])?;
-        let sensor = |((camera, imu_from_camera), folder): ((Camera, Pose), PathBuf)| {
-            rate_of(&folder.join("data.csv")).map(|rate_hz| CameraSensor { camera, imu_from_camera, rate_hz })
+        let sensor = |(((camera, imu_from_camera), readout_s), folder): (((Camera, Pose), f64), PathBuf)| {
+            let rate_hz = rate_of(&folder.join("data.csv"))?;
+            Ok(CameraSensor { camera, imu_from_camera, rate_hz, readout_s })
         };
-        let cameras = chain.cameras.into_iter().zip(folders).map(sensor).collect::<Result<_, _>>()?;
+        let cameras = chain.cameras.into_iter().zip(chain.readouts_s).zip(folders);
+        let cameras = cameras.map(sensor).collect::<Result<_, SequenceError>>()?;
         let sensors = SensorCalibration { imu, cameras, wheels };
         Ok(Self { sensors, time_offset_ns: chain.time_offset_ns, files })
     }

@@ -185,6 +185,9 @@ fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
     writeln!(out, "sensor_type: camera")?;
     matrix_yaml(out, &sensor.imu_from_camera)?;
     writeln!(out, "rate_hz: {}", sensor.rate_hz)?;
+    if sensor.readout_s != 0.0 {
+        writeln!(out, "line_delay: {}", sensor.readout_s / f64::from(sensor.camera.height))?;
+    }
     write!(out, "{}", calibration::projection_yaml(&sensor.camera))
 }
 

@@ -45,10 +45,11 @@ fn chain(sequence: &Sequence, chained: bool) -> String {
         text.push(format!(
             "  camera_model: {camera_model}\n  distortion_coeffs: {coefficients:?}\n  distortion_model: {model}\n  \
              intrinsics: {intrinsics:?}\n  resolution: [{}, {}]\n  rostopic: /cam{index}/image_raw\n  \
-             timeshift_cam_imu: {}\n",
+             timeshift_cam_imu: {}\n  line_delay: {}\n",
             camera.width,
             camera.height,
-            SHIFT_NS as f64 * 1e-9
+            SHIFT_NS as f64 * 1e-9,
+            sensor.readout_s / f64::from(camera.height)
         ));
     }
     text.concat()
@@ -81,6 +82,7 @@ fn assert_read(read: &Sequence, written: &Sequence) {
     assert_eq!((imu.noise, imu.rate_hz), (ImuNoise::default(), 200.0));
     for (a, b) in read.cameras.iter().zip(&written.cameras) {
         assert_eq!(a.camera, b.camera);
+        assert!((a.readout_s - b.readout_s).abs() < 1e-12);
         assert!(a.imu_from_camera.local(&b.imu_from_camera).amax() < 1e-7);
         assert!((a.rate_hz - 10.0).abs() < 1e-3);
     }
@@ -146,6 +148,7 @@ fn what_cannot_be_used_is_named_with_what_can() {
         (good.replacen("T_cam_imu", "T_other", 1), "kalibr_calibrate_imu_camera"),
         (good.replacen("intrinsics: [", "intrinsics: [1.0, ", 1), "fu, fv, cu, cv"),
         (good.replacen("timeshift_cam_imu: ", "timeshift_cam_imu: 1e4 # ", 1), "in seconds"),
+        (good.replacen("line_delay: ", "line_delay: 30.5 # ", 1), "line_delay of cam0"),
         (only_first, "has no cam1"),
     ] {
         let error = error(text, IMU);

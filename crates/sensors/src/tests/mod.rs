@@ -29,10 +29,13 @@ fn pose(rng: &mut StdRng) -> Pose {
     Pose::new(UnitQuaternion::from_scaled_axis(vector(rng, 1.5)), vector(rng, 100.0))
 }
 
+/// Of the rolling shutters: a time from row to row that decimal fractions state exactly.
+const READOUT_S: f64 = 480.0 / 32_768.0;
+
 fn camera(rng: &mut StdRng, distortion: Distortion) -> CameraSensor {
     let camera =
         Camera { width: 752, height: 480, focal: [458.654, 457.296], centre: [367.215, 248.375], distortion };
-    CameraSensor { camera, imu_from_camera: pose(rng), rate_hz: 10.0 }
+    CameraSensor { readout_s: READOUT_S, ..CameraSensor::new(camera, pose(rng), 10.0) }
 }
 
 /// A small recording with everything in it, and with the gaps that real ones have.

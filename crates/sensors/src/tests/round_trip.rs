@@ -29,7 +29,7 @@ fn reading_undoes_writing() {
         }
         assert_eq!(read.cameras.len(), written.cameras.len());
         for (a, b) in read.cameras.iter().zip(&written.cameras) {
-            assert_eq!((&a.camera, a.rate_hz), (&b.camera, b.rate_hz));
+            assert_eq!((&a.camera, a.rate_hz, a.readout_s), (&b.camera, b.rate_hz, b.readout_s));
             assert_pose_close(&a.imu_from_camera, &b.imu_from_camera);
         }
         for (a, b) in read.groundtruth.unwrap().iter().zip(written.groundtruth.as_ref().unwrap()) {

@@ -8,6 +8,7 @@ use super::noisy_map::NoisyMap;
 use super::{AnswerOptions, global_from_world};
 use crate::SimulatedWorld;
 use crate::SimulationOptions;
+use crate::exposure::Exposure;
 use crate::random::{Purpose, normal, stream};
 use crate::tracks::visible;
 use estimator::{MapAnswer, MapKeyframe, MatchedLandmark};
@@ -54,8 +55,8 @@ pub(crate) fn to_frames(
         if !is_queried || options.gaps_s.iter().any(|gap| gap.contains(&seconds)) {
             return None;
         }
-        let world_from_imu = world.live_trajectory.at(frame.stamp_ns).pose;
-        let mut answer = matched(options, simulation, &mut rng, world, map, &world_from_imu)?;
+        let exposure = Exposure::of(&world.live_trajectory, frame.stamp_ns);
+        let mut answer = matched(options, simulation, &mut rng, world, map, &exposure)?;
         add_wrong_matches(&mut answer, options.wrong_matches, &mut rng, map);
         let is_wrong_place = rng.random_bool(options.wrong_place) && !is_first;
         is_first = false;
@@ -80,9 +81,9 @@ fn matched(
     rng: &mut StdRng,
     world: &SimulatedWorld,
     map: &NoisyMap,
-    world_from_imu: &Pose,
+    exposure: &Exposure<'_>,
 ) -> Option<MapAnswer> {
-    let mut seen = visible(simulation, world_from_imu, &world.cameras[0], &world.landmarks);
+    let mut seen = visible(simulation, exposure, &world.cameras[0], &world.landmarks);
     seen.retain(|(landmark, _)| {
         rng.random_bool(simulation.repeatability) && map.landmarks.contains_key(landmark)
     });

@@ -7,6 +7,7 @@
 use super::{MapOptions, global_from_world};
 use crate::SimulatedWorld;
 use crate::SimulationOptions;
+use crate::exposure::Exposure;
 use crate::random::{Purpose, normal, normal3, stream};
 use crate::tracks::visible;
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
@@ -71,7 +72,7 @@ impl NoisyMap {
             if k < 3 { options.sigma_theta_rad.powi(2) } else { options.sigma_p_m.powi(2) }
         }));
         for world_from_imu in keyframe_poses(options, world) {
-            let mut seen = visible(simulation, &world_from_imu, camera, &world.landmarks);
+            let mut seen = visible(simulation, &Exposure::at_once(world_from_imu), camera, &world.landmarks);
             seen.retain(|_| rng.random_bool(simulation.repeatability));
             seen.shuffle(&mut rng);
             seen.truncate(simulation.max_features);

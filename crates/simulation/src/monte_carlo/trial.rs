@@ -8,8 +8,8 @@ use super::{CalibrationError, FilterStart, MonteCarloOptions, Rescue, Variant, g
 use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
 use estimator::{
-    Alarm, CalibratedCamera, CloneId, Estimator, EstimatorError, ImuSample, Initializer, Localization,
-    MapMode, TrackObservation, WheelReading, WheelReport,
+    Alarm, CalibratedCamera, CloneId, Estimated, Estimator, EstimatorError, ImuSample, Initializer,
+    Localization, MapMode, TrackObservation, WheelReading, WheelReport,
 };
 use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors, run_errors_in};
@@ -57,6 +57,8 @@ pub struct Trial {
     pub stated_calibration: Vec<CalibrationError>,
     /// Errors of the filter's own calibration at the end, by camera.
     pub estimated_calibration: Vec<CalibrationError>,
+    /// Readout time of each camera at the end, seconds; `None` for a filter that knows of no rolling shutter.
+    pub readout_times: Option<Vec<Estimated>>,
     /// What the wheels did, and their calibration at the end; `None` without them.
     pub wheels: Option<WheelReport>,
     /// When the wheels were first left out, seconds since the begin.
@@ -127,6 +129,7 @@ impl Seed<'_> {
             .map(|sensor| CalibratedCamera {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
+                readout_s: sensor.readout_s,
             })
             .collect();
         let stated = self.options.calibration.draw(self.number, &truth);
@@ -151,6 +154,7 @@ impl Seed<'_> {
             diverged: None,
             stated_calibration,
             estimated_calibration: Vec::new(),
+            readout_times: None,
             wheels: None,
             wheels_left_out_s: None,
         };
@@ -192,6 +196,7 @@ impl Seed<'_> {
         let cameras = found.cameras.iter().zip(&truth);
         trial.estimated_calibration =
             cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
+        trial.readout_times = player.estimator.readout_times();
         trial.wheels = player.estimator.wheel_report();
         let seconds = |stamp_ns: i64| (stamp_ns - begin_ns) as f64 * 1e-9;
         trial.wheels_left_out_s = player.wheels_left_out_ns.map(seconds);
@@ -236,7 +241,7 @@ impl Seed<'_> {
                 break;
             }
             player.next_frame += 1;
-            let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
+            let until_ns = player.estimator.last_row_ns(stamp_ns);
             let due = readings[player.next_reading..].partition_point(|reading| reading.stamp_ns <= until_ns);
             // With the reading after the image: between two of them it is interpolated.
             let end = (player.next_reading + due + 1).min(readings.len());
@@ -380,7 +385,11 @@ impl<'a> Player<'a> {
 
     fn map_update(&mut self, queried: CloneId, answer: &Answer) -> Result<(), EstimatorError> {
         let before = self.estimator.global_from_imu();
-        let report = self.estimator.map_update(queried, &answer.answer)?;
+        let mut seen = answer.answer.clone();
+        for landmark in &mut seen.landmarks {
+            landmark.pixel = self.estimator.still_pixel(queried, &landmark.pixel);
+        }
+        let report = self.estimator.map_update(queried, &seen)?;
         self.estimator.unpin(queried);
         let is_alarm = self.estimator.alarms().iter().any(|alarm| matches!(alarm, Alarm::Drift(_)));
         if is_alarm {

@@ -48,7 +48,7 @@ mod tests {
             centre: [320.0, 240.0],
             distortion: Distortion::None,
         };
-        CameraSensor { camera, imu_from_camera, rate_hz: 20.0 }
+        CameraSensor::new(camera, imu_from_camera, 20.0)
     }
 
     #[test]

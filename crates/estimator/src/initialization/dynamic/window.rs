@@ -1,8 +1,9 @@
 //! The measurements of a dynamic initialization: images of one or two seconds and the IMU samples in between.
 
 use super::error::DynamicInitError;
-use crate::calibration::CalibratedCamera;
+use crate::calibration::{CalibratedCamera, row_reach_ns};
 use crate::imu::{ImuBuffer, Readings};
+use crate::rolling_shutter::still_pixel::{still_pixel, turn_around};
 use nalgebra::{Vector2, Vector3};
 use std::collections::BTreeMap;
 use types::TrackObservation;
@@ -75,13 +76,37 @@ impl Window {
             readings.push(between.map_err(|_| DynamicInitError::NoImu)?);
         }
         let stamps_ns = images.iter().map(|image| image.stamp_ns).collect();
-        Ok(Self { stamps_ns, readings, tracks: longest_tracks(images, cameras) })
+        let tracks = match row_reach_ns(cameras) {
+            0 => longest_tracks(images, cameras),
+            reach_ns => longest_tracks(&without_turn(images, imu, cameras, reach_ns), cameras),
+        };
+        Ok(Self { stamps_ns, readings, tracks })
     }
 
     /// Time from the first image to image `k`, seconds.
     pub fn seconds(&self, k: usize) -> f64 {
         (self.stamps_ns[k] - self.stamps_ns[0]) as f64 * 1e-9
     }
+}
+
+/// The images as cameras with a rolling shutter would have seen them without turning during the readout.
+fn without_turn(
+    images: &[WindowImage],
+    imu: &ImuBuffer,
+    cameras: &[CalibratedCamera],
+    reach_ns: i64,
+) -> Vec<WindowImage> {
+    let still = |image: &WindowImage| {
+        let motion = turn_around(imu, image.stamp_ns, reach_ns, &Vector3::zeros());
+        let mut still = image.clone();
+        for track in &mut still.tracks {
+            if let Some(calibrated) = cameras.get(usize::from(track.camera)) {
+                track.pixel = still_pixel(calibrated, &motion, &track.pixel);
+            }
+        }
+        still
+    };
+    images.iter().map(still).collect()
 }
 
 /// The tracks with the most images; among equals those of the smaller feature.
@@ -131,7 +156,7 @@ mod tests {
             centre: [320.0, 240.0],
             distortion: Distortion::None,
         };
-        let cameras = [CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+        let cameras = [CalibratedCamera::new(camera, Pose::identity())];
         let seen: [&[u64]; 10] =
             [&[1, 2], &[1, 2], &[1, 2], &[1, 2], &[1], &[1, 2], &[1, 2], &[1, 2], &[1, 2], &[1, 2]];
         let images: Vec<WindowImage> = (0..)

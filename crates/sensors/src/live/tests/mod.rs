@@ -34,7 +34,7 @@ fn calibration(cameras: usize) -> SensorCalibration {
         centre: [4.0, 3.0],
         distortion: Distortion::None,
     };
-    let sensor = CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 };
+    let sensor = CameraSensor::new(camera, Pose::identity(), 20.0);
     let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None };
     SensorCalibration { imu: Some(imu), cameras: vec![sensor; cameras], wheels: None }
 }

@@ -49,10 +49,9 @@ pub fn calibrated_cameras(stereo: bool) -> Vec<CalibratedCamera> {
         centre: [370.0, 245.0],
         distortion: Distortion::RadialTangential([-0.28, 0.07, 2e-4, 2e-5]),
     };
-    let calibrated = |x: f64| CalibratedCamera {
-        camera: camera.clone(),
-        imu_from_camera: Pose::new(exp(&Vector3::new(0.1, -0.2, 1.5)), Vector3::new(x, 0.02, 0.01)),
-    };
+    let turn = exp(&Vector3::new(0.1, -0.2, 1.5));
+    let calibrated =
+        |x: f64| CalibratedCamera::new(camera.clone(), Pose::new(turn, Vector3::new(x, 0.02, 0.01)));
     if stereo { vec![calibrated(-0.02), calibrated(0.09)] } else { vec![calibrated(-0.02)] }
 }
 
