@@ -252,7 +252,7 @@ impl Health {
     }
 }
 
-/// Fraction of the tracks that agree with the state, and their number; `None` without any.
+/// Fraction of the tracks that agree with the state, and how many were tested; `None` without any.
 ///
 /// A track that cannot be triangulated contradicts the state if its outlying observations were dropped in vain, and is
 /// uninformative if it has no parallax. Reports do not tell the two apart, so the larger of both fractions is returned.
@@ -263,8 +263,9 @@ fn agreement<'a>(images: impl Iterator<Item = &'a Counts>) -> Option<(f64, usize
         finished += image.finished;
         dropped += image.dropped;
     }
-    let fraction = |of: usize| agreed as f64 / of.max(1) as f64;
-    (finished > 0).then(|| (fraction(finished).max(fraction(agreed + dropped)), finished))
+    let fraction = |of: usize| agreed as f64 / of as f64;
+    let tested = finished.min(agreed + dropped);
+    (tested > 0).then(|| (fraction(finished).max(fraction(agreed + dropped)), tested))
 }
 
 #[cfg(test)]
@@ -312,6 +313,9 @@ mod tests {
         );
         // No parallax (stationary, or distant features) is no contradiction.
         assert_eq!(health_after(std::iter::repeat_n(image(1, 0, 7, 0), 40)).check_tracks(), Ok(()));
+        let nothing_tested = health_after(std::iter::repeat_n(image(0, 0, 8, 0), 40));
+        assert_eq!(nothing_tested.check_tracks(), Ok(()));
+        assert!(!nothing_tested.is_suspicious());
     }
 
     #[test]

@@ -8,28 +8,23 @@
 //! which is block diagonal in the clones minus a matrix of rank three: the projection is never computed. The other three
 //! directions initialize the landmark: `f = A⁻¹ H_fᵀ (r - H_x e - n)`, with noise independent of the above.
 //!
-//! The matrix of rank three is computed as `(QᵀH_x)ᵀ (QᵀH_x)` with an orthonormal basis `Q` of the columns of `H_f`. A robot
-//! that brakes moves by millimetres in the window, straight at some landmarks whose pixels then hardly depend on their depth:
-//! with `A⁻¹` the rounding errors of the difference are 10⁶ times those of its terms, and the Cholesky decomposition of the sum
-//! takes them for information about the absolute position (92 mm became 42 mm within an image).
+//! The matrix of rank three is computed as `(QᵀH_x)ᵀ (QᵀH_x)` with an [orthonormal basis](super::landmark_basis) `Q` of the columns of
+//! `H_f`: the Cholesky decomposition of the sum would take rounding errors of `A⁻¹` for information about the absolute position
+//! (92 mm became 42 mm within an image).
 //!
-//! Source: Mourikis & Roumeliotis, ICRA 2007, section III-D; the Schur complement of the normal equations; Li & Mourikis,
-//! "Optimization-based estimator design for vision-aided inertial navigation", RSS 2012 (SLAM features); Yamamoto, Nakatsukasa,
-//! Yanagisawa & Fukaya, "Roundoff error analysis of the CholeskyQR2 algorithm", ETNA 2015 (the basis).
+//! Source: Mourikis & Roumeliotis, ICRA 2007, section III-D; the Schur complement of the normal equations.
 
 use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::{Dense, Factorization};
 use crate::measurement::Information;
+use crate::odometry::delayed_initialization::DelayedInitialization;
+use crate::odometry::landmark_basis::orthonormalize;
 use crate::odometry::pixel_measurement::{
     JacobianBlocks, Layout, PixelMeasurement, add_pixel, columns_of, covariance_between,
 };
 use crate::state::ActiveState;
 use nalgebra::{Cholesky, DVector, Matrix2x3, Matrix3, Vector3};
 use std::ops::Range;
-
-/// How far the columns may be from orthonormal after the first of two steps: further, rounding errors are all there is of one
-/// of them, since the pixels do not determine the landmark.
-const MAX_FIRST_ERROR: f64 = 0.5;
 
 /// The linearized pixels of one landmark, with reused memory.
 #[derive(Clone, Debug, Default)]
@@ -55,38 +50,6 @@ struct GateMemory {
     innovation: Dense,
     right_sides: Dense,
     factorization: Factorization,
-}
-
-/// Delayed initialization of landmarks in the state: `e_f = J e + n` for each.
-#[derive(Clone, Debug, Default)]
-pub struct DelayedInitialization {
-    /// Correction of each linearization point, metres in L.
-    pub shifts: Vec<Vector3<f64>>,
-    /// Covariance of each `n`, m^2.
-    pub noises: Vec<Matrix3<f64>>,
-    /// `Jᵀ` of each over the columns of the layout; the same number of entries for each landmark.
-    jacobians: Vec<[f64; 3]>,
-}
-
-impl DelayedInitialization {
-    /// Removes all landmarks.
-    pub fn clear(&mut self) {
-        self.shifts.clear();
-        self.noises.clear();
-        self.jacobians.clear();
-    }
-
-    /// `J` of all landmarks, three rows each, into `target`.
-    pub fn jacobian(&self, target: &mut Dense) {
-        let count = self.shifts.len();
-        let width = self.jacobians.len() / count.max(1);
-        target.reset(3 * count, width);
-        for (index, jacobian) in self.jacobians.chunks_exact(width.max(1)).enumerate() {
-            for (column, values) in jacobian.iter().enumerate() {
-                target.column_mut(column)[3 * index..3 * index + 3].copy_from_slice(values);
-            }
-        }
-    }
 }
 
 /// The landmark block of the normal equations.
@@ -190,7 +153,9 @@ impl FeatureMeasurement {
         state: &ActiveState,
         layout: &Layout,
     ) -> Result<(), NotPositiveDefinite> {
-        self.find_basis()?;
+        self.basis.clear();
+        self.basis.extend(self.pixels.iter().map(|pixel| pixel.wrt_landmark));
+        orthonormalize(&mut self.basis, self.prior.unwrap_or_default())?;
         let mut vector = Vector3::zeros();
         let mut residual = 0.0;
         for (pixel, basis) in self.pixels.iter().zip(&self.basis) {
@@ -233,27 +198,6 @@ impl FeatureMeasurement {
         let (first, last) =
             spans.fold((usize::MAX, 0), |(low, high), (first, last)| (low.min(first), high.max(last)));
         [0..layout.calibration.len(), layout.clone_column(first.min(last))..layout.clone_column(last + 1)]
-    }
-
-    /// Computes `Q`: twice `H_f ← H_f L⁻ᵀ`, with `L` the Cholesky factor of `H_fᵀ H_f`. The second time removes the rounding
-    /// errors of the first one.
-    fn find_basis(&mut self) -> Result<(), NotPositiveDefinite> {
-        self.basis.clear();
-        self.basis.extend(self.pixels.iter().map(|pixel| pixel.wrt_landmark));
-        let mut prior = self.prior.unwrap_or_default();
-        for turn in 0..2 {
-            let gram = self.basis.iter().fold(prior, |sum, rows| sum + rows.tr_mul(rows));
-            if turn > 0 && (gram - Matrix3::identity()).amax() > MAX_FIRST_ERROR {
-                return Err(NotPositiveDefinite);
-            }
-            let factor = Cholesky::new(gram).ok_or(NotPositiveDefinite)?.unpack();
-            let inverse = factor.solve_lower_triangular(&Matrix3::identity()).ok_or(NotPositiveDefinite)?;
-            for rows in &mut self.basis {
-                *rows *= inverse.transpose();
-            }
-            prior = inverse * prior * inverse.transpose();
-        }
-        Ok(())
     }
 
     /// Adds the initialization of the landmark in the state; see [`DelayedInitialization`].

@@ -1,6 +1,8 @@
 //! Visual odometry from feature tracks: MSCKF update, SLAM features, zero-velocity update.
 
+pub mod delayed_initialization;
 pub mod feature_measurement;
+mod landmark_basis;
 pub mod msckf_update;
 pub mod pixel_measurement;
 pub mod slam_update;
