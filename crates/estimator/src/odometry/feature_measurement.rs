@@ -8,7 +8,7 @@
 //! which is block diagonal in the clones minus a matrix of rank three: the projection is never computed. The other three
 //! directions initialize the landmark: `f = A⁻¹ H_fᵀ (r - H_x e - n)`, with noise independent of the above.
 //!
-//! The matrix of rank three is computed as `(QᵀH_x)ᵀ (QᵀH_x)` with an [orthonormal basis](super::landmark_basis) `Q` of the columns of
+//! The matrix of rank three is computed as `(QᵀH_x)ᵀ (QᵀH_x)` with an orthonormal basis `Q` (`landmark_basis`) of the columns of
 //! `H_f`: the Cholesky decomposition of the sum would take rounding errors of `A⁻¹` for information about the absolute position
 //! (92 mm became 42 mm within an image).
 //!
