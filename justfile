@@ -34,6 +34,7 @@ doc:
 
 # The demo, with bounds on what it reaches; leaves its map, run and pictures in target/ci-demo
 demo:
+    rm -rf "{{ justfile_directory() }}/target/ci-demo"
     DEMO_OUT="{{ justfile_directory() }}/target/ci-demo" \
         cargo test --profile {{ profile }} --locked --workspace --test main -- --include-ignored --nocapture demo::
 
