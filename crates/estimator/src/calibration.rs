@@ -87,7 +87,7 @@ impl Default for OnlineCalibration {
 pub const CAMERA_DIM: usize = 6 + MAX_INTRINSICS + 1;
 
 /// How far the times of rows reach from that of the image, nanoseconds.
-pub(crate) fn row_reach_ns(cameras: &[CalibratedCamera]) -> i64 {
+pub fn row_reach_ns(cameras: &[CalibratedCamera]) -> i64 {
     let longest = cameras.iter().map(|calibrated| calibrated.readout_s.abs()).fold(0.0, f64::max);
     ((0.5 * longest).min(MAX_ROW_REACH_S) * 1e9) as i64
 }

@@ -1,10 +1,8 @@
 //! Odometry over a recording in memory, for building a map from it.
 
-use ::odometry::{EstimatorSupervisor, FrontEnd};
+use ::odometry::{EstimatorSupervisor, FrontEnd, calibrated_cameras};
 use estimator::propagation::ImuState;
-use estimator::{
-    CalibratedCamera, ConfigError, EstimatorConfig, EstimatorError, MapMode, ReadingCheck, TrackObservation,
-};
+use estimator::{ConfigError, EstimatorConfig, EstimatorError, MapMode, ReadingCheck, TrackObservation};
 use sensors::{Frame, ImuSample, Sequence};
 use std::path::PathBuf;
 use vision::tracking::{TrackerError, TrackerOptions};
@@ -107,12 +105,7 @@ pub fn run_configured(
     mut progress: impl FnMut(usize, usize),
     mut located: impl FnMut(&Frame, &ImuState),
 ) -> Result<OdometryRun, OdometryError> {
-    let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
-        camera: sensor.camera.clone(),
-        imu_from_camera: sensor.imu_from_camera,
-        readout_s: sensor.readout_s,
-    };
-    let rig: Vec<CalibratedCamera> = sequence.cameras[..cameras].iter().map(of_sensor).collect();
+    let rig = calibrated_cameras(&sequence.cameras[..cameras]);
     let mut supervisor = EstimatorSupervisor::initializing(config.clone(), rig);
     let contents = sequence.contents();
     let mut front_end = if contents.tracks {

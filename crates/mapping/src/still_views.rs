@@ -3,7 +3,8 @@
 //! A keyframe has one pose. What the camera turned while it read the image out, which moves the outer rows by some pixels, is known from
 //! the gyroscope; what it moved, by half a pixel at a walk in a room, is left in the noise of the pixels.
 
-use estimator::CalibratedCamera;
+use ::odometry::calibrated_cameras;
+use estimator::calibration::row_reach_ns;
 use estimator::imu::ImuBuffer;
 use estimator::rolling_shutter::still_pixel::{still_pixel, turn_around};
 use nalgebra::{Vector2, Vector3};
@@ -23,19 +24,11 @@ pub(super) fn make_still(
     readings: &ImuBuffer,
     gyroscope_bias: impl Fn(i64) -> Option<Vector3<f64>>,
 ) {
-    let longest_s = sensors.iter().map(|sensor| sensor.readout_s.abs()).fold(0.0, f64::max);
-    if longest_s == 0.0 {
+    let rig = calibrated_cameras(sensors);
+    let reach_ns = row_reach_ns(&rig);
+    if reach_ns == 0 {
         return;
     }
-    let reach_ns = (0.5e9 * longest_s) as i64;
-    let rig: Vec<CalibratedCamera> = sensors
-        .iter()
-        .map(|sensor| CalibratedCamera {
-            camera: sensor.camera.clone(),
-            imu_from_camera: sensor.imu_from_camera,
-            readout_s: sensor.readout_s,
-        })
-        .collect();
     let (camera, second) = (&rig[0].camera, rig.get(1));
     for view in views {
         let bias = gyroscope_bias(view.stamp_ns).unwrap_or_default();

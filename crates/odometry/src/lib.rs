@@ -5,12 +5,15 @@
 //! | [`front_end`] | [`FrontEnd`]: from images and gyroscope readings to feature tracks |
 //! | [`estimator_supervisor`] | [`EstimatorSupervisor`]: initializes the estimator, and starts it again when it diverges |
 //! | `repeated_warning` | [`RepeatedWarning`]: what would be logged at every image |
+//! | `rig` | [`calibrated_cameras()`]: cameras as the estimator takes them |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod estimator_supervisor;
 pub mod front_end;
 mod repeated_warning;
+mod rig;
 
 pub use estimator_supervisor::EstimatorSupervisor;
 pub use front_end::{FrontEnd, FrontEndError};
 pub use repeated_warning::RepeatedWarning;
+pub use rig::calibrated_cameras;

@@ -13,9 +13,9 @@ use super::prediction::{Basis, Prediction};
 use super::report::RunReport;
 use super::run_status::AlarmKind;
 use super::settings::RobotSettings;
-use estimator::{CalibratedCamera, Estimator, EstimatorError, InitMethod, TrackObservation};
+use estimator::{Estimator, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
-use odometry::{EstimatorSupervisor, FrontEnd, RepeatedWarning};
+use odometry::{EstimatorSupervisor, FrontEnd, RepeatedWarning, calibrated_cameras};
 use sensors::{Contents, Frame, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 use vision::{FeatureExtractor, GrayImage};
@@ -93,14 +93,7 @@ impl<'a> Robot<'a> {
         let has_front_end = contents.images && !contents.tracks;
         let front_end =
             has_front_end.then(|| FrontEnd::new(cameras, settings.tracker.clone())).transpose()?;
-        let rig: Vec<CalibratedCamera> = cameras
-            .iter()
-            .map(|sensor| CalibratedCamera {
-                camera: sensor.camera.clone(),
-                imu_from_camera: sensor.imu_from_camera,
-                readout_s: sensor.readout_s,
-            })
-            .collect();
+        let rig = calibrated_cameras(cameras);
         let config = settings.estimator.clone();
         let supervisor = match &settings.initial {
             Some(initial) => EstimatorSupervisor::running(Estimator::new(config, rig.clone(), initial)?, rig),

@@ -19,6 +19,13 @@ impl Tracks {
     }
 }
 
+/// Root mean square error of the position in L, metres; infinite without one.
+fn rms_error_m(trial: &simulation::monte_carlo::Trial) -> f64 {
+    let Some(errors) = &trial.errors else { return f64::INFINITY };
+    let squares: f64 = errors.local.iter().map(|sample| sample.error.fixed_rows::<3>(3).norm_squared()).sum();
+    (squares / errors.local.len() as f64).sqrt()
+}
+
 mod lying_map;
 mod map_consistency;
 mod odometry_consistency;

@@ -1,10 +1,10 @@
 //! Odometry with rolling shutters over Monte-Carlo runs of a hand-held body: against filters that do not know of it, and against the same
 //! runs with global shutters.
 
-use crate::Tracks;
+use crate::{Tracks, rms_error_m};
 use estimator::{EstimatorConfig, MapMode};
 use simulation::monte_carlo::score::{ScoreOptions, score};
-use simulation::monte_carlo::{MonteCarloOptions, OutputScore, Trial, Variant, VariantRuns, run};
+use simulation::monte_carlo::{MonteCarloOptions, OutputScore, Variant, VariantRuns, run};
 use simulation::{Scenario, SimulationOptions};
 
 /// Seeds of every run, and of the nightly one.
@@ -43,12 +43,6 @@ fn runs(count: usize, tracks: Tracks, readout_s: f64, variants: &[Variant]) -> V
         ..MonteCarloOptions::default()
     };
     run(&options, variants, |_| {}).unwrap()
-}
-
-fn rms_error_m(trial: &Trial) -> f64 {
-    let Some(errors) = &trial.errors else { return f64::INFINITY };
-    let squares: f64 = errors.local.iter().map(|sample| sample.error.fixed_rows::<3>(3).norm_squared()).sum();
-    (squares / errors.local.len() as f64).sqrt()
 }
 
 fn scored(all: &VariantRuns) -> OutputScore {

@@ -1,11 +1,11 @@
 //! Wheel odometry over Monte-Carlo runs of one camera on a flat floor, with four times the noise that the IMU states: with the
 //! wheels against without.
 
-use crate::Tracks;
+use crate::{Tracks, rms_error_m};
 use estimator::{Estimated, EstimatorConfig, MapMode, WheelConfig, WheelReport};
 use simulation::drive::planar_drive;
 use simulation::monte_carlo::score::{ScoreOptions, score};
-use simulation::monte_carlo::{MonteCarloOptions, Slip, Trial, Variant, VariantRuns, WheelOptions, run};
+use simulation::monte_carlo::{MonteCarloOptions, Slip, Variant, VariantRuns, WheelOptions, run};
 use simulation::{Scenario, SimulationOptions};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -94,12 +94,6 @@ fn seed(
         ..MonteCarloOptions::default()
     };
     run(&options, variants, |_| {}).unwrap()
-}
-
-fn rms_error_m(trial: &Trial) -> f64 {
-    let Some(errors) = &trial.errors else { return f64::INFINITY };
-    let squares: f64 = errors.local.iter().map(|sample| sample.error.fixed_rows::<3>(3).norm_squared()).sum();
-    (squares / errors.local.len() as f64).sqrt()
 }
 
 #[test]
