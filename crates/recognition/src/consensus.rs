@@ -28,15 +28,23 @@ pub(crate) enum Consensus {
 ///
 /// # Arguments
 /// * `places`: from [`group_places`] of the same keyframes.
+/// * `log_ratios`: of the first places, the logarithm of the likelihood of the place over that of a picture that repeats.
 pub(crate) fn find_consensus(
     mut verified: Vec<VerifiedKeyframe>,
     places: &[Vec<usize>],
+    log_ratios: &[f64],
     options: &RecognitionOptions,
 ) -> Consensus {
     let Some(winner) = places.first() else { return Consensus::Nothing };
     let winner_support = support(&verified, winner);
-    let rival_support = places.get(1).map_or(0, |rival| support(&verified, rival));
-    if rival_support as f64 >= options.ambiguity_ratio * winner_support as f64 {
+    let is_rival = |(number, rival): (usize, &Vec<usize>)| {
+        let is_less_likely = log_ratios
+            .get(number)
+            .is_some_and(|log_ratio| log_ratios[0] - log_ratio >= options.min_fix_log_odds);
+        let least = options.ambiguity_ratio * winner_support as f64;
+        !is_less_likely && support(&verified, rival) as f64 >= least
+    };
+    if places.iter().enumerate().skip(1).any(is_rival) {
         let global_from_camera = verified[winner[0]].global_from_camera;
         let place = RecognizedPlace { global_from_camera, features: winner_support };
         return Consensus::Ambiguous(Box::new(place));

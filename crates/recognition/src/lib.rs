@@ -46,7 +46,7 @@ mod search;
 mod verification;
 
 pub use coarse::{CoarseIndex, CoarseIndexBuilder, RankedPart};
-pub use evidence::{AliasingRate, Coverage, likely_alias};
+pub use evidence::{AliasingRate, Coverage, PartCounts, likely_alias};
 pub use frozen::FrozenError;
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};

@@ -48,7 +48,8 @@ pub struct RecognitionOptions {
     pub tolerance_theta: f64,
     /// Position error (m, one standard deviation) that two verified poses may have beyond their covariances.
     pub tolerance_p: f64,
-    /// Two places of which the weaker has at least this part of the support of the stronger are ambiguous.
+    /// Two places of which the weaker has at least this part of the support of the stronger are ambiguous, unless it is less likely
+    /// than the other by the odds of `min_fix_log_odds`.
     pub ambiguity_ratio: f64,
     /// Fewest matched landmarks that a keyframe must observe to be sent as covisible.
     pub min_covisible: usize,

@@ -230,7 +230,9 @@ impl LoadedMap {
         let places = group_places(&mut verified, options);
         let log_prior_odds = self.aliasing_rate().log_odds();
         let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
-        let place = match find_consensus(verified, &places, options) {
+        let log_ratios: Vec<f64> =
+            hypotheses.iter().map(|place| place.coverage.log_likelihood_ratio()).collect();
+        let place = match find_consensus(verified, &places, &log_ratios, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
                 strongest = Some(*place);

@@ -7,7 +7,7 @@ use protocol::{LocalizeRequest, MapIdentity, MatchOutcome};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, RecognitionOptions};
-use testing::{Place, PlaceOptions};
+use testing::{POSTER_LANDMARKS, Place, PlaceOptions};
 
 fn dense_place() -> Place {
     Place::new(&PlaceOptions { keyframes: 12, landmarks: 6000, ..PlaceOptions::default() })
@@ -39,29 +39,47 @@ fn pose(place: &Place, rng: &mut StdRng) -> Pose {
     place.camera_at(along, rng.random_range(-0.3..0.3), rng.random_range(-0.1..0.1))
 }
 
+/// Whether a pixel shows one of some points (pixels).
+fn shows(place: &Place, from: &Pose, points: &[(Vector3<f64>, Vec<u8>)], pixel: [f32; 2]) -> bool {
+    points.iter().any(|(point, _)| {
+        let projected = place.camera.project(&from.inverse_transform(point));
+        projected.is_ok_and(|at| (at - nalgebra::Vector2::from(pixel.map(f64::from))).norm() < 2.0)
+    })
+}
+
 #[test]
 fn one_picture_of_a_place_is_ambiguous_however_many_matches_it_has_and_its_odds_are_listed() {
-    let place = dense_place();
+    let landmarks = 6000;
+    let options = PlaceOptions { keyframes: 12, landmarks, posters: 8, ..PlaceOptions::default() };
+    let place = Place::new(&options);
     let map = LoadedMap::from_contents(place.map.clone()).unwrap();
     let mut rng = StdRng::seed_from_u64(31);
-    let mut seen = 0;
-    for _ in 0..20 {
-        let truth = pose(&place, &mut rng);
-        let size = [place.camera.width, place.camera.height].map(|length| length as f32);
-        let in_picture = |pixel: [f32; 2]| {
-            (0.4..0.6).contains(&(pixel[0] / size[0])) && (0.3..0.7).contains(&(pixel[1] / size[1]))
+    let (mut seen, mut two_were_claimed) = (0, 0);
+    for trial in 0..20 {
+        // Poster `at` begins at four times its number along the path; the camera is some metres before it.
+        let at = 2 + trial % 4;
+        let truth =
+            place.camera_at(4.0 * at as f64 - rng.random_range(5.0..6.0), rng.random_range(-0.3..0.3), 0.0);
+        let posters = |count: usize| {
+            let first = landmarks + at * POSTER_LANDMARKS;
+            &place.points[first..first + count * POSTER_LANDMARKS]
         };
-        let request = request(&place, &truth, &mut rng, in_picture);
-        let (reply, report) = map.localize_with_report(&request, &RecognitionOptions::default()).unwrap();
+        let mut localize = |count: usize| {
+            let is_of_posters = |pixel: [f32; 2]| shows(&place, &truth, posters(count), pixel);
+            let request = request(&place, &truth, &mut rng, is_of_posters);
+            map.localize_with_report(&request, &RecognitionOptions::default()).unwrap()
+        };
+        let (reply, report) = localize(1);
         assert_eq!(reply.fix, None);
         if let Some(hypothesis) = report.hypotheses.first() {
             seen += 1;
-            assert!(hypothesis.place.features >= 8 && hypothesis.log_odds() < 0.0, "{hypothesis:?}");
+            assert!(hypothesis.place.features >= 30 && hypothesis.log_odds() < 0.0, "{hypothesis:?}");
             let strongest = report.place.as_ref().unwrap();
             assert_eq!((reply.outcome, strongest), (MatchOutcome::Ambiguous, &hypothesis.place));
         }
+        two_were_claimed += usize::from(localize(2).0.fix.is_some());
     }
-    assert!(seen >= 10, "{seen}");
+    assert!(seen >= 18 && two_were_claimed >= 10, "{seen}, {two_were_claimed}");
 }
 
 #[test]

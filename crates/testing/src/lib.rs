@@ -57,6 +57,9 @@ pub fn add_aliases(map: &mut MapContents) {
     map.info.identity = Some(map.digest());
 }
 
+/// Landmarks of a poster, see [`PlaceOptions::posters`].
+pub const POSTER_LANDMARKS: usize = 80;
+
 /// How a place is made.
 #[derive(Clone, Debug)]
 pub struct PlaceOptions {
@@ -67,6 +70,9 @@ pub struct PlaceOptions {
     pub repeated_descriptors: usize,
     /// Part of the landmarks that have repeated texture.
     pub repeated_share: f64,
+    /// Pictures of [`POSTER_LANDMARKS`] landmarks each, 1.6 m long and 1.2 m high, on both sides of the path by turns; their
+    /// landmarks come after the others.
+    pub posters: usize,
     /// G is turned against the vertical, as in one of the recorded places.
     pub turned: bool,
     pub gravity_known: bool,
@@ -80,6 +86,7 @@ impl Default for PlaceOptions {
             landmarks: 1500,
             repeated_descriptors: 0,
             repeated_share: 0.0,
+            posters: 0,
             turned: true,
             gravity_known: true,
         }
@@ -119,7 +126,7 @@ impl Place {
         };
         let length = 2.0 * options.keyframes as f64;
         let texture: Vec<Vec<u8>> = (0..options.repeated_descriptors).map(|_| descriptor(&mut rng)).collect();
-        let points = (0..options.landmarks)
+        let mut points: Vec<(Vector3<f64>, Vec<u8>)> = (0..options.landmarks)
             .map(|_| {
                 let level = Vector3::new(
                     rng.random_range(-5.0..length + 30.0),
@@ -135,6 +142,14 @@ impl Place {
                 (global_from_level * level, descriptor)
             })
             .collect();
+        for poster in 0..options.posters {
+            let (x, y) = (4.0 * poster as f64, if poster % 2 == 0 { 4.0 } else { -4.0 });
+            points.extend((0..POSTER_LANDMARKS).map(|_| {
+                let level =
+                    Vector3::new(x + rng.random_range(0.0..1.6), y, 1.0 + rng.random_range(-0.6..0.6));
+                (global_from_level * level, descriptor(&mut rng))
+            }));
+        }
         let mut place = Place {
             camera: camera(),
             gravity: global_from_level * Vector3::new(0.0, 0.0, -1.0),

@@ -1,11 +1,13 @@
 //! In which parts of an image matches confirm what the map expects there.
 
 use geometry::{Camera, Pose};
+use nalgebra::Vector3;
 use protocol::FeatureSet;
 
-use super::expected::expected_pixels;
+use super::expected::expected_landmarks;
 use super::grid::Grid;
 use super::likelihood::log_likelihood_ratio;
+use super::picture::Picture;
 use crate::loaded_map::LoadedMap;
 use crate::verification::VerifiedKeyframe;
 
@@ -21,20 +23,38 @@ const LEAST_CONFIRMING: usize = 2;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Coverage {
-    /// Parts in which the map expects landmarks.
-    pub expected: usize,
-    /// Those of them in which matches agree with the pose.
-    pub confirmed: usize,
+    /// Of the parts that show the picture in which most inliers are.
+    pub within_picture: PartCounts,
+    /// Of the other ones.
+    pub beyond_picture: PartCounts,
     /// Parts of the image: the fewer features it has, the fewer.
     pub parts: usize,
     /// Parts that a picture of two square metres would fill where the inliers are: the nearer it is, the more.
     pub picture: f64,
 }
 
+/// Parts of an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PartCounts {
+    /// Those in which the map expects landmarks.
+    pub expected: usize,
+    /// Those of them in which matches agree with the pose.
+    pub confirmed: usize,
+}
+
 impl Coverage {
+    /// Of all parts.
+    pub fn of_image(&self) -> PartCounts {
+        let (within, beyond) = (self.within_picture, self.beyond_picture);
+        PartCounts {
+            expected: within.expected + beyond.expected,
+            confirmed: within.confirmed + beyond.confirmed,
+        }
+    }
+
     /// Natural logarithm of the likelihood of the right place over that of a picture that repeats.
     pub fn log_likelihood_ratio(&self) -> f64 {
-        log_likelihood_ratio(self.confirmed, self.expected, self.parts, self.picture)
+        log_likelihood_ratio(self)
     }
 }
 
@@ -50,34 +70,63 @@ pub(crate) fn coverage(
     global_from_camera: &Pose,
     place: &[&VerifiedKeyframe],
 ) -> Coverage {
-    let expected = expected_pixels(map, camera, global_from_camera, place);
-    let mut confirming: Vec<usize> =
-        place.iter().flat_map(|keyframe| &keyframe.inliers).map(|inlier| inlier.query).collect();
-    confirming.sort_unstable();
-    confirming.dedup();
+    let expected = expected_landmarks(map, camera, global_from_camera, place);
+    let inliers = distinct_inliers(map, place);
+    let points: Vec<Vector3<f64>> = inliers.iter().map(|(_, in_global)| *in_global).collect();
+    let Some(picture) = Picture::of_most(&points, &global_from_camera.translation) else {
+        return Coverage::default();
+    };
     let grid = Grid::of(camera, features.len());
     let features_of_a_landmark = (features.len() as f64 / expected.len().max(1) as f64).min(1.0);
-    let expected = grid.count(expected.iter().map(|pixel| [pixel.x, pixel.y]));
-    let confirming = grid.count(confirming.iter().map(|&query| features.pixels[query].map(f64::from)));
-    let picture = grid.filled_by(PICTURE_AREA_M2, median_depth(map, global_from_camera, place));
-    let mut coverage = Coverage { picture, parts: grid.len(), ..Coverage::default() };
-    for (&expected, &confirming) in expected.iter().zip(&confirming) {
-        let is_confirmed = confirming >= LEAST_CONFIRMING;
-        let is_expected = expected as f64 * features_of_a_landmark >= LEAST_EXPECTED;
-        coverage.expected += usize::from(is_confirmed || is_expected);
-        coverage.confirmed += usize::from(is_confirmed);
+    let expected_where = |within: bool| {
+        let there = expected.iter().filter(|landmark| picture.contains(&landmark.in_global) == within);
+        grid.count(there.map(|landmark| [landmark.pixel.x, landmark.pixel.y]))
+    };
+    let confirming_where = |within: bool| {
+        let there = inliers.iter().filter(|(_, in_global)| picture.contains(in_global) == within);
+        grid.count(there.map(|&(query, _)| features.pixels[query].map(f64::from)))
+    };
+    let (expected, confirming) = ([true, false].map(expected_where), [true, false].map(confirming_where));
+    let depth = median_depth(&points, global_from_camera);
+    let mut coverage = Coverage {
+        picture: grid.filled_by(PICTURE_AREA_M2, depth),
+        parts: grid.len(),
+        ..Coverage::default()
+    };
+    for part in 0..grid.len() {
+        let [within, beyond] = [0, 1].map(|side| (expected[side][part], confirming[side][part]));
+        let is_confirmed = within.1 + beyond.1 >= LEAST_CONFIRMING;
+        let is_expected = (within.0 + beyond.0) as f64 * features_of_a_landmark >= LEAST_EXPECTED;
+        let is_beyond = if is_confirmed {
+            beyond.1 >= LEAST_CONFIRMING && beyond.1 > within.1
+        } else {
+            beyond.0 > within.0
+        };
+        let counts = if is_beyond { &mut coverage.beyond_picture } else { &mut coverage.within_picture };
+        counts.expected += usize::from(is_confirmed || is_expected);
+        counts.confirmed += usize::from(is_confirmed);
     }
     coverage
 }
 
-/// Median depth of the inliers, metres; infinite without any.
-fn median_depth(map: &LoadedMap, global_from_camera: &Pose, place: &[&VerifiedKeyframe]) -> f64 {
-    let mut depths: Vec<f64> = Vec::new();
+/// The features that inliers match, each once, and their landmarks in G (metres).
+fn distinct_inliers(map: &LoadedMap, place: &[&VerifiedKeyframe]) -> Vec<(usize, Vector3<f64>)> {
+    let mut inliers = Vec::new();
     for verified in place {
         let global_from_keyframe = &map.keyframes[verified.keyframe].global_from_keyframe.pose;
-        let camera_from_keyframe = global_from_camera.inverse().compose(global_from_keyframe);
-        depths.extend(verified.inlier_points().map(|point| camera_from_keyframe.transform(point).z));
+        let points = verified.inlier_points().map(|point| global_from_keyframe.transform(point));
+        inliers.extend(verified.inliers.iter().map(|inlier| inlier.query).zip(points));
     }
+    // A stable sort: of a feature that several keyframes match, the first one's landmark.
+    inliers.sort_by_key(|(query, _)| *query);
+    inliers.dedup_by_key(|(query, _)| *query);
+    inliers
+}
+
+/// Median depth of points in G (metres), metres.
+fn median_depth(points: &[Vector3<f64>], global_from_camera: &Pose) -> f64 {
+    let depth = |point: &Vector3<f64>| global_from_camera.inverse_transform(point).z;
+    let mut depths: Vec<f64> = points.iter().map(depth).collect();
     depths.sort_unstable_by(f64::total_cmp);
     depths.get(depths.len() / 2).copied().unwrap_or(f64::INFINITY)
 }

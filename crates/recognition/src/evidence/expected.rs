@@ -67,17 +67,25 @@ fn compare(point_in_keyframe: &Vector3<f64>, camera_from_keyframe: &Pose) -> (f6
     (now.dot(&before) / (length * length_before), length / length_before)
 }
 
-/// The pixels (px) of the landmarks that a camera should see, each once: those that a keyframe near by saw from a similar
-/// direction and distance, and those that a verified keyframe saw as it saw its inliers.
+/// A landmark that a camera should see.
+pub(super) struct ExpectedLandmark {
+    /// Where it should be in the image, pixels.
+    pub pixel: Vector2<f64>,
+    /// Where it is in G, metres.
+    pub in_global: Vector3<f64>,
+}
+
+/// The landmarks that a camera should see, each once: those that a keyframe near by saw from a similar direction and distance, and
+/// those that a verified keyframe saw as it saw its inliers.
 ///
 /// What hides a landmark from the camera is not known, except that a keyframe near by saw it.
-pub(crate) fn expected_pixels(
+pub(super) fn expected_landmarks(
     map: &LoadedMap,
     camera: &Camera,
     global_from_camera: &Pose,
     place: &[&VerifiedKeyframe],
-) -> Vec<Vector2<f64>> {
-    let mut expected: Vec<(usize, Vector2<f64>)> = Vec::new();
+) -> Vec<ExpectedLandmark> {
+    let mut expected: Vec<(usize, ExpectedLandmark)> = Vec::new();
     let mut add = |keyframe: usize, camera_from_keyframe: &Pose, similarity: &Similarity| {
         let observed = map.observations.of(keyframe);
         expected.extend((0..observed.landmarks.len()).filter_map(|at| {
@@ -85,7 +93,8 @@ pub(crate) fn expected_pixels(
             let is_similar = similarity.holds(&in_keyframe, camera_from_keyframe);
             let in_camera = camera_from_keyframe.transform(&in_keyframe);
             let pixel = is_similar.then(|| camera.project(&in_camera).ok()).flatten()?;
-            camera.contains(&pixel).then(|| (observed.landmark(at), pixel))
+            let in_global = global_from_camera.transform(&in_camera);
+            camera.contains(&pixel).then(|| (observed.landmark(at), ExpectedLandmark { pixel, in_global }))
         }));
     };
     let camera_from = |keyframe: usize| {
@@ -102,7 +111,7 @@ pub(crate) fn expected_pixels(
     }
     expected.sort_by_key(|(landmark, _)| *landmark);
     expected.dedup_by_key(|(landmark, _)| *landmark);
-    expected.into_iter().map(|(_, pixel)| pixel).collect()
+    expected.into_iter().map(|(_, landmark)| landmark).collect()
 }
 
 /// The keyframes that see most like a camera, the most similar first.

@@ -9,7 +9,8 @@ mod coverage;
 mod expected;
 mod grid;
 mod likelihood;
+mod picture;
 
 pub use aliasing::{AliasingRate, likely_alias};
-pub use coverage::Coverage;
 pub(crate) use coverage::coverage;
+pub use coverage::{Coverage, PartCounts};
