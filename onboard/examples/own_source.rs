@@ -39,13 +39,7 @@ impl SensorSource for Device {
     /// A driver waits here for the next measurement; readings and frames come in the order of time.
     fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
         if std::mem::take(&mut self.frame_is_due) {
-            let (stamp_ns, images) = (self.now_ns, [None, None]);
-            return Ok(Some(SensorEvent::Frame(Frame {
-                stamp_ns,
-                images,
-                tracks: Vec::new(),
-                features: None,
-            })));
+            return Ok(Some(SensorEvent::Frame(Frame { stamp_ns: self.now_ns, ..Frame::default() })));
         }
         self.now_ns += READING_NS;
         self.frame_is_due = self.now_ns % (READINGS_A_FRAME * READING_NS) == 0;

@@ -82,8 +82,9 @@ pub fn run_robot_until<'a>(
     }
     let config = arguments.estimator_config(recording.calibration(), recording.contents())?;
     check(arguments)?;
-    if arguments.camera_count(recording.calibration())? > 1 && recording.contents().images {
-        check_stereo(&recording.calibration().cameras, recording.frames()?)?;
+    if recording.contents().images {
+        let cameras = arguments.camera_count(recording.calibration())?;
+        check_stereo(&recording.calibration().cameras[..cameras], || recording.frames())?;
     }
     let initial = initial_state(&recording, arguments.init, &config)?;
     let mut source = recording.source()?;

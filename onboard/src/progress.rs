@@ -117,7 +117,7 @@ pub fn report(summary: &Summary) -> String {
     if let Some(pairs) = summary.stereo_pairs.filter(|_| summary.cameras > 1) {
         let _ = writeln!(
             text,
-            "{} stereo pairs; without a partner: {} images of cam0, used alone, and {} of cam1, left out",
+            "{} stereo pairs; without a partner: {} images of the first camera, used alone, and {} of the second, left out",
             pairs.pairs, pairs.lone_first, pairs.lone_second
         );
     }

@@ -35,7 +35,7 @@ pub struct RosTopics {
     pub imu: String,
     /// `sensor_msgs/Imu` of the accelerometer, where it has a topic of its own.
     pub accelerometer: Option<String>,
-    /// One or two cameras: `sensor_msgs/Image`, or `sensor_msgs/CompressedImage` where the name ends in `/compressed`.
+    /// The cameras: `sensor_msgs/Image`, or `sensor_msgs/CompressedImage` where the name ends in `/compressed`.
     pub cameras: Vec<String>,
     /// The wheels, if they are used.
     pub wheels: Option<RosWheels>,

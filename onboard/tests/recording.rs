@@ -71,6 +71,6 @@ fn images_are_recorded_as_they_are_and_an_older_recording_stays() {
     assert_eq!(images.len(), frames.len());
     for (image, frame) in images.iter().zip(&frames) {
         assert_eq!(image.header.stamp.to_nanoseconds(), frame.stamp_ns);
-        assert_eq!(image.data, std::fs::read(frame.images[0].as_ref().unwrap().path().unwrap()).unwrap());
+        assert_eq!(image.data, std::fs::read(frame.images[&0].path().unwrap()).unwrap());
     }
 }

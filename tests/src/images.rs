@@ -90,7 +90,7 @@ impl Split {
     ) -> Vec<Found> {
         let localized = |&frame: &usize| {
             let truth = self.global_from_camera(frame)?;
-            let file = self.sequence.frames[frame].images[0].as_ref()?;
+            let file = self.sequence.frames[frame].images.get(&0)?;
             let image = change(file.read().unwrap().into_owned());
             let seen = extractor.extract(&image, None, max_features).unwrap();
             let request = LocalizeRequest {

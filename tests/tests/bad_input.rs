@@ -201,7 +201,7 @@ fn answer_of(map: &LoadedMap, sequence: &Sequence, frame: usize) -> MapAnswer {
         match reply {
             MatchReply::Keyframe(keyframe) => keyframes.push(keyframe),
             MatchReply::Done(status) => {
-                return map_answer(&request.features, &request.held, &status, keyframes);
+                return map_answer(0, &request.features, &request.held, &status, keyframes);
             }
         }
     }

@@ -320,7 +320,7 @@ fn images_and_readings_that_are_none_do_not_move_the_odometry() {
                 }
                 _ => return send(&driver.topics, &event),
             };
-            let [image, other] = [0, 1].map(|camera| frame.images[camera].as_ref().unwrap());
+            let [image, other] = [0, 1].map(|camera| &frame.images[&camera]);
             let (image, other) = (image.read().unwrap().into_owned(), other.read().unwrap().into_owned());
             let (width, height) = (image.width() as u32, image.height() as u32);
             let header = |encoding: &str, width, height| ImageHeader {

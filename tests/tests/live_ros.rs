@@ -20,7 +20,7 @@ const GIVE_UP: Duration = Duration::from_mins(1);
 
 /// Stamp and pixels of a frame.
 fn pixels(frame: &Frame) -> (i64, Vec<GrayImage>) {
-    let images = frame.images.iter().flatten();
+    let images = frame.images.values();
     (frame.stamp_ns, images.map(|image| image.read().unwrap().into_owned()).collect())
 }
 

@@ -58,7 +58,7 @@ impl QueryImage {
         let sequence = Sequence::open_without_readings(recording, files)?;
         let camera = sequence.cameras[0].camera.clone();
         let (frame, time_s) = nearest_frame(&sequence, at_s)?;
-        let data = frame.images[0].as_ref();
+        let data = frame.images.get(&0);
         let of = format!("camera 0 of {}", recording.display());
         let image = data.map(|data| read_image(data, &camera, &of)).transpose()?;
         let features = match (&frame.features, &image, data) {
@@ -120,7 +120,7 @@ fn nearest_frame(sequence: &Sequence, at_s: f64) -> Result<(&Frame, f64)> {
     }
     let with_features = sequence.has_features();
     let is_usable = |frame: &&Frame| {
-        if with_features { frame.features.is_some() } else { frame.images[0].is_some() }
+        if with_features { frame.features.is_some() } else { frame.images.contains_key(&0) }
     };
     let distance = |frame: &&Frame| (seconds(frame) - at_s).abs();
     let usable = sequence.frames.iter().filter(is_usable);

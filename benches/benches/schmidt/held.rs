@@ -192,6 +192,7 @@ impl Holder {
         let answer = MapAnswer {
             map_version: 1,
             map_identity: 1,
+            camera: 0,
             keyframes: stated.collect(),
             held_at_query: Vec::new(),
             landmarks: landmarks.collect(),

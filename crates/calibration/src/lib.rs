@@ -21,5 +21,5 @@ mod yaml;
 
 pub use error::CalibrationError;
 pub use sensor_yaml::{lens_of_text, read_lens};
-pub use sensors::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor};
+pub use sensors::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
 pub use yaml::{Lens, projection_yaml};

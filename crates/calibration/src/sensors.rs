@@ -1,5 +1,6 @@
 //! The sensors of a robot: what they are, where they are mounted, and their noise.
 
+use geometry::CameraGroup;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use types::ImuNoise;
@@ -36,6 +37,11 @@ impl CameraSensor {
     }
 }
 
+/// Which cameras of a rig are stereo pairs: [`geometry::camera_groups`].
+pub fn camera_groups(cameras: &[CameraSensor]) -> Vec<CameraGroup> {
+    geometry::camera_groups(cameras.iter().map(|sensor| (&sensor.camera, &sensor.imu_from_camera)))
+}
+
 /// The wheels of a differential drive: two driven wheels on one axis.
 ///
 /// The base frame has its origin between the wheels on the floor, x forward, y left, z up.
@@ -70,7 +76,7 @@ impl WheelSensor {
 pub struct SensorCalibration {
     /// The IMU. A recording that only serves to build maps may have none; a robot cannot be localized without it.
     pub imu: Option<ImuSensor>,
-    /// One camera, or the two of a stereo pair; frames refer to them by index.
+    /// The cameras; frames refer to them by index.
     pub cameras: Vec<CameraSensor>,
     /// The wheels, where there are any and their geometry is known.
     pub wheels: Option<WheelSensor>,

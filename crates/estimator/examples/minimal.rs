@@ -103,6 +103,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let answer = MapAnswer {
             map_version: 1,
             map_identity: 1,
+            camera: 0,
             keyframes: vec![keyframe.clone()],
             held_at_query: estimator.held_keyframes(),
             landmarks: pixels.iter().filter_map(matched).collect(),

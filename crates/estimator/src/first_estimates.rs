@@ -105,7 +105,15 @@ mod tests {
         state.first_motion.velocity += Vector3::new(-0.2, 0.4, 0.1);
         let first_estimate = scene.landmark + Vector3::new(0.2, 0.1, -0.7);
         let position = scene.landmark;
-        state.slam_features.push(SlamFeature { feature_id: 3, position, first_estimate, gated_in_a_row: 0 });
+        let last_seen = state.clones[0].id;
+        state.slam_features.push(SlamFeature {
+            feature_id: 3,
+            position,
+            first_estimate,
+            gated_in_a_row: 0,
+            camera: 0,
+            last_seen,
+        });
         let dim = state.dim();
         assert_eq!(dim, 15 + FEATURE_DIM + 8 * POSE_DIM);
         let root = DMatrix::from_fn(dim, dim, |row, column| {

@@ -45,6 +45,10 @@ pub struct SlamFeature {
     pub first_estimate: Vector3<f64>,
     /// Number of consecutive images in which the gate rejected it.
     pub gated_in_a_row: usize,
+    /// The camera that it was first seen by.
+    pub camera: u8,
+    /// The last clone that observed it.
+    pub last_seen: CloneId,
 }
 
 /// Dimension of the error of a SLAM feature.

@@ -81,6 +81,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
             held_at_query: Vec::new(),
             map_version: 1,
             map_identity: 1,
+            camera: 0,
             keyframes,
             landmarks,
             gravity_in_global: None,

@@ -5,6 +5,7 @@
 //! | [`rotation`] | exponential map of SO(3) and its Jacobians |
 //! | [`pose`], [`uncertain_pose`] | rigid poses, their covariance and its propagation |
 //! | [`camera`] | cameras with the models of OpenCV, COLMAP and Kalibr for rays to the front, and their Jacobians |
+//! | `camera_groups` | [`camera_groups()`]: which cameras of a rig are stereo pairs |
 //! | [`triangulation`] | landmarks from several views, with covariance |
 //! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, RANSAC, refinement |
 //! | [`robust`] | Huber's loss |
@@ -19,6 +20,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod camera;
+mod camera_groups;
 pub mod coordinate;
 pub mod covariance_check;
 pub mod numeric;
@@ -32,6 +34,7 @@ pub mod uncertain_pose;
 pub use camera::{
     Camera, CameraError, Distortion, IntrinsicsJacobian, MAX_INTRINSICS, ProjectionError, check_mount,
 };
+pub use camera_groups::{CameraGroup, camera_groups};
 pub use coordinate::{MAX_COORDINATE_M, is_coordinate};
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;

@@ -65,7 +65,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
     /// Whether a frame can have features.
     pub(super) fn has_features(&self, frame: &Frame) -> bool {
         match &self.extraction {
-            Some(_) => frame.images[0].is_some(),
+            Some(_) => frame.images.contains_key(&0),
             None => frame.features.as_ref().is_some_and(|features| !features.is_empty()),
         }
     }
@@ -141,7 +141,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         let mask = extraction.mask;
         let extract = move |extractor: &mut dyn FeatureExtractor, (frame, index): (&Frame, usize)| {
             let mask = mask.filter(|_| index == 0);
-            let file = frame.images[index].as_ref()?;
+            let file = frame.images.get(&index)?;
             let camera = (index, &cameras[index].camera);
             Some(((frame.stamp_ns, index), extracted(extractor, file, camera, mask, max_features)))
         };

@@ -32,7 +32,7 @@ const MAX_INTERVAL_NS: i64 = 300_000_000;
 pub struct Odometry {
     /// Time of an image (ns), and the state then: pose of the IMU in L, velocity in L, biases. In order of time.
     pub states: Vec<(i64, ImuState)>,
-    /// Number of cameras that were used: 1 or 2.
+    /// Number of cameras that were used, the first ones.
     pub cameras: usize,
     /// Factor on the stated noise of the IMU that was learned; 1 where none was.
     pub imu_noise_scale: f64,

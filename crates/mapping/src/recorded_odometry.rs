@@ -1,5 +1,6 @@
 //! Odometry over a recording in memory, for building a map from it.
 
+use super::camera::is_stereo;
 use ::odometry::{EstimatorSupervisor, FrontEnd, calibrated_cameras};
 use estimator::propagation::ImuState;
 use estimator::{ConfigError, EstimatorConfig, EstimatorError, MapMode, ReadingCheck, TrackObservation};
@@ -58,7 +59,7 @@ pub struct OdometryRun {
 /// Tracks that are made of images are put into its frames. Images before the initialization have no state.
 ///
 /// # Arguments
-/// * `cameras`: 1 or 2.
+/// * `cameras`: how many are used, the first ones.
 /// * `progress`: called with the number of frames done.
 ///
 /// # Errors
@@ -112,7 +113,7 @@ pub fn run_configured(
         None
     } else {
         let options = TrackerOptions::default();
-        Some(FrontEnd::new(&sequence.cameras[..cameras], options)?)
+        Some(FrontEnd::new(&sequence.cameras[..cameras], &options)?)
     };
     let readings = usable_readings(&sequence.imu_samples);
     let mut states: Vec<(i64, ImuState)> = Vec::new();
@@ -135,7 +136,7 @@ pub fn run_configured(
             }
         }
         if let Some(front_end) = &mut front_end {
-            if frame.images[0].is_none() {
+            if frame.images.is_empty() {
                 continue;
             }
             let since_ns = front_end.last_stamp_ns().unwrap_or(frame.stamp_ns);
@@ -184,14 +185,14 @@ fn usable_readings(readings: &[ImuSample]) -> Vec<ImuSample> {
     usable
 }
 
-/// Whether images of two cameras follow each other so slowly that points cannot be tracked.
+/// Whether images of a stereo pair follow each other so slowly that points cannot be tracked.
 pub fn is_sparse(sequence: &Sequence) -> bool {
     let contents = sequence.contents();
     let mut gaps: Vec<i64> =
         sequence.frames.windows(2).map(|frames| frames[1].stamp_ns - frames[0].stamp_ns).collect();
     gaps.sort_unstable();
     let slow = gaps.get(gaps.len() / 2).is_some_and(|&gap_ns| gap_ns > MAX_TRACKED_GAP_NS);
-    slow && contents.images && !contents.tracks && sequence.cameras.len() > 1
+    slow && contents.images && !contents.tracks && is_stereo(&sequence.cameras)
 }
 
 /// Settings of odometry over a recording.

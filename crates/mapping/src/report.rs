@@ -154,11 +154,11 @@ mod tests {
     fn the_longest_stretch_without_tracks_is_found() {
         let frame = |k: i64, tracks: u64| Frame {
             stamp_ns: k * 500_000_000,
-            images: [None, None],
             features: None,
             tracks: (0..tracks)
                 .map(|feature_id| TrackObservation { camera: 0, feature_id, pixel: Vector2::zeros() })
                 .collect(),
+            ..Frame::default()
         };
         let recording = |dark: &[i64]| -> Vec<Frame> {
             (0..10).map(|k| frame(k, if dark.contains(&k) { 3 } else { 50 })).collect()

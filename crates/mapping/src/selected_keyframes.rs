@@ -61,7 +61,7 @@ pub fn select_during<T>(
             select(cameras, extraction, options, &inbox, count)
         });
         let mut located = |frame: &Frame, state: &ImuState| {
-            if frame.images[0].is_none() || !is_in_time(frame.stamp_ns, first_ns, options) {
+            if !frame.images.contains_key(&0) || !is_in_time(frame.stamp_ns, first_ns, options) {
                 return;
             }
             let prior = local_prior(frame.stamp_ns, state, &sensors[0], options);

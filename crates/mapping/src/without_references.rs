@@ -156,7 +156,12 @@ impl<'a, 'p> Builder<'a, 'p> {
         let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
         let mut report = BuildReport::of_views(&views, source.unreadable);
         report.untracked_images = UntrackedImages::of(&sequence.frames);
-        let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
+        let tracks = add_tracks(
+            &mut views,
+            &sequence.frames,
+            &cameras[0].camera,
+            odometry.cameras > 1 && cameras.len() > 1,
+        );
         report.imu_noise_scale = odometry.imu_noise_scale;
         let readings = buffered(&sequence.imu_samples);
         make_still(&mut views, &sequence.cameras, &readings, |stamp_ns| {

@@ -29,7 +29,11 @@ fn sensor() -> CameraSensor {
 
 /// What the camera sees after `k` images of turning: a texture on a sphere, infinitely far.
 fn photograph(k: i64) -> GrayImage {
-    let CameraSensor { camera, imu_from_camera, .. } = sensor();
+    photograph_of(&sensor(), k)
+}
+
+fn photograph_of(sensor: &CameraSensor, k: i64) -> GrayImage {
+    let CameraSensor { camera, imu_from_camera, .. } = sensor;
     let world_from_imu = exp(&(RATE * (k * PERIOD_NS) as f64 * 1e-9));
     let world_from_camera = world_from_imu * imu_from_camera.rotation;
     GrayImage::from_fn(376, 240, |x, y| {
@@ -58,11 +62,18 @@ fn readings(bias: &Vector3<f64>) -> Vec<ImuSample> {
 fn frame(folder: &Path, k: i64) -> Frame {
     let path = folder.join(format!("{k}.png"));
     photograph(k).write(&path).unwrap();
-    Frame { stamp_ns: k * PERIOD_NS, images: [Some(path.into()), None], ..Frame::default() }
+    Frame { stamp_ns: k * PERIOD_NS, images: [(0, path.into())].into(), ..Frame::default() }
+}
+
+/// The same camera turned about its vertical axis by so many degrees: it sees nothing of what the other sees.
+fn turned(degrees: f64) -> CameraSensor {
+    let CameraSensor { camera, imu_from_camera, .. } = sensor();
+    let turn = Pose::new(exp(&(Vector3::y() * degrees.to_radians())), Vector3::zeros());
+    CameraSensor::new(camera, imu_from_camera * turn, 20.0)
 }
 
 fn front_end() -> FrontEnd {
-    FrontEnd::new(&[sensor()], TrackerOptions::default().points(100)).unwrap()
+    FrontEnd::new(&[sensor()], &TrackerOptions::default().points(100)).unwrap()
 }
 
 #[test]
@@ -85,7 +96,7 @@ fn a_damaged_image_is_named_and_the_tracks_go_on_after_it() {
     let mut front_end = front_end();
     let before = front_end.track_frame(&frame(folder.path(), 0), &imu).unwrap();
     let damaged = frame(folder.path(), 1);
-    let path = damaged.images[0].as_ref().unwrap().path().unwrap();
+    let path = damaged.images[&0].path().unwrap();
     let whole = std::fs::read(path).unwrap();
     std::fs::write(path, &whole[..whole.len() / 2]).unwrap();
     let error = front_end.track_frame(&damaged, &imu).unwrap_err();
@@ -96,4 +107,55 @@ fn a_damaged_image_is_named_and_the_tracks_go_on_after_it() {
     let ids: BTreeSet<u64> = before.iter().map(|track| track.feature_id).collect();
     let kept = after.iter().filter(|track| ids.contains(&track.feature_id)).count();
     assert!(kept > 50, "{kept} tracks continued over 36 px, which only the gyroscope predicts");
+}
+
+#[test]
+fn cameras_of_a_rig_are_tracked_as_each_alone_and_one_that_fails_does_not_stop_the_others() {
+    let rig = [sensor(), turned(180.0), turned(90.0)];
+    let options = TrackerOptions::default().points(60);
+    let imu = readings(&Vector3::zeros());
+    let of_rig = |k: i64, cameras: &[usize]| {
+        let image = |&camera: &usize| (camera, photograph_of(&rig[camera], k).into());
+        Frame { stamp_ns: k * PERIOD_NS, images: cameras.iter().map(image).collect(), ..Frame::default() }
+    };
+    let mut all = FrontEnd::new(&rig, &options).unwrap();
+    let mut alone: Vec<FrontEnd> =
+        rig.iter().map(|sensor| FrontEnd::new(std::slice::from_ref(sensor), &options).unwrap()).collect();
+    // Biases are learned from all cameras together: known here, so that each camera has the same prediction.
+    for front_end in alone.iter_mut().chain([&mut all]) {
+        front_end.set_gyroscope_bias(Vector3::zeros());
+    }
+    for k in 0..2 {
+        let tracks = all.track_frame(&of_rig(k, &[0, 1, 2]), &imu).unwrap();
+        let ids: BTreeSet<u64> = tracks.iter().map(|track| track.feature_id).collect();
+        assert_eq!(ids.len(), tracks.len(), "no identity is that of two points");
+        for (camera, front_end) in alone.iter_mut().enumerate() {
+            let frame = Frame {
+                stamp_ns: k * PERIOD_NS,
+                images: [(0, photograph_of(&rig[camera], k).into())].into(),
+                ..Frame::default()
+            };
+            let own = front_end.track_frame(&frame, &imu).unwrap();
+            let of_camera: Vec<_> =
+                tracks.iter().filter(|track| usize::from(track.camera) == camera).collect();
+            assert!(own.len() > 30 && own.len() == of_camera.len());
+            for (own, of_rig) in own.iter().zip(of_camera) {
+                let groups = rig.len() as u64;
+                assert_eq!(of_rig.feature_id, own.feature_id * groups + camera as u64);
+                // Later images differ by the bias that the cameras learn in the meantime.
+                assert!((of_rig.pixel - own.pixel).norm() < 0.05);
+            }
+        }
+    }
+    // Camera 0 is dead, camera 1 sends half an image: camera 2 goes on, and later all of them.
+    let mut damaged = of_rig(2, &[2]);
+    damaged.images.insert(1, Path::new("missing.png").to_path_buf().into());
+    let tracks = all.track_frame(&damaged, &imu).unwrap();
+    assert!(tracks.len() > 30 && tracks.iter().all(|track| track.camera == 2));
+    let tracks = all.track_frame(&of_rig(3, &[0, 1, 2]), &imu).unwrap();
+    let cameras: BTreeSet<u8> = tracks.iter().map(|track| track.camera).collect();
+    assert_eq!(cameras, BTreeSet::from([0, 1, 2]));
+    assert!(all.report().continued > 60, "{:?}", all.report());
+    // Without any image there are no tracks.
+    assert!(matches!(all.track_frame(&of_rig(4, &[]), &imu), Err(FrontEndError::NoImage { .. })));
 }

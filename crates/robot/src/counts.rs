@@ -111,7 +111,7 @@ pub struct MapChangeSummary {
     pub found_anew: u64,
 }
 
-/// Stereo pairs and images without a partner: of a recording all, of live sensors those until the end.
+/// Stereo pairs and images without a partner, of all stereo pairs of the cameras: of a recording all, of live sensors those until the end.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct PairSummary {
     /// Frames with an image of both cameras.

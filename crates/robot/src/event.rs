@@ -1,7 +1,8 @@
 //! The result of a query, as it is written to `events.csv`.
 
+use super::query_cameras::QueryImage;
 use client::QueryResult;
-use estimator::{CloneId, MapReport};
+use estimator::MapReport;
 use protocol::MatchOutcome;
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +37,7 @@ pub struct Event {
 
 impl Event {
     /// An event whose outcome is still to be recorded.
-    pub fn new(result: &QueryResult<CloneId>, state_ns: i64) -> Self {
+    pub fn new(result: &QueryResult<QueryImage>, state_ns: i64) -> Self {
         let stamp_ns = result.request.stamp_ns;
         Self {
             stamp_ns,

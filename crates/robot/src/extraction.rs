@@ -3,7 +3,7 @@
 //! Odometry runs at the rate of the camera; an extractor takes longer than one period. So an image is submitted with
 //! the id of its pose clone, which stays in the filter, and the map is queried when the features are ready.
 
-use estimator::CloneId;
+use super::query_cameras::QueryImage;
 use protocol::FeatureSet;
 use sensors::ImageData;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -34,8 +34,8 @@ pub enum ExtractionError {
 /// The result of one extraction.
 #[derive(Debug)]
 pub struct Extracted {
-    /// The clone of the image's pose.
-    pub clone: CloneId,
+    /// The image.
+    pub image: QueryImage,
     /// Time of the image, nanoseconds.
     pub stamp_ns: i64,
     /// The features, or why there are none.
@@ -43,9 +43,9 @@ pub struct Extracted {
 }
 
 struct Job {
-    clone: CloneId,
+    image: QueryImage,
     stamp_ns: i64,
-    image: ImageData,
+    data: ImageData,
 }
 
 /// An extractor on a thread of its own, one image at a time. The thread ends when this value is dropped.
@@ -54,7 +54,7 @@ pub struct ExtractionThread {
     jobs: Sender<Job>,
     results: Receiver<Extracted>,
     /// The image that is processed now.
-    pending: Option<(CloneId, i64)>,
+    pending: Option<(QueryImage, i64)>,
 }
 
 impl ExtractionThread {
@@ -71,8 +71,9 @@ impl ExtractionThread {
         let (outbox, results) = channel();
         let work = move || {
             while let Ok(job) = inbox.recv() {
-                let features = extract(extractor.as_mut(), &job.image, mask.as_ref(), max_features);
-                if outbox.send(Extracted { clone: job.clone, stamp_ns: job.stamp_ns, features }).is_err() {
+                let mask = mask.as_ref().filter(|_| job.image.camera == 0);
+                let features = extract(extractor.as_mut(), &job.data, mask, max_features);
+                if outbox.send(Extracted { image: job.image, stamp_ns: job.stamp_ns, features }).is_err() {
                     break;
                 }
             }
@@ -87,10 +88,10 @@ impl ExtractionThread {
     }
 
     /// Submits an image. The thread must be idle.
-    pub fn submit(&mut self, clone: CloneId, stamp_ns: i64, image: ImageData) {
+    pub fn submit(&mut self, image: QueryImage, stamp_ns: i64, data: ImageData) {
         // A thread that has ended is reported as the result of this image.
-        let _ = self.jobs.send(Job { clone, stamp_ns, image });
-        self.pending = Some((clone, stamp_ns));
+        let _ = self.jobs.send(Job { image, stamp_ns, data });
+        self.pending = Some((image, stamp_ns));
     }
 
     /// The result, if it is ready.
@@ -111,8 +112,8 @@ impl ExtractionThread {
     }
 
     fn finish(&mut self, result: Option<Extracted>) -> Option<Extracted> {
-        let (clone, stamp_ns) = self.pending.take()?;
-        let ended = || Extracted { clone, stamp_ns, features: Err(ExtractionError::ThreadEnded) };
+        let (image, stamp_ns) = self.pending.take()?;
+        let ended = || Extracted { image, stamp_ns, features: Err(ExtractionError::ThreadEnded) };
         Some(result.unwrap_or_else(ended))
     }
 }

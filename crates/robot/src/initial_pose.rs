@@ -3,7 +3,8 @@
 //! The pose becomes the prior of map queries, moved on by odometry, until the map has answered one of them. It never is a
 //! measurement of the filter: the pose that is published comes from what the images show, with their covariance.
 
-use estimator::{CloneId, Estimator};
+use super::query_cameras::QueryImage;
+use estimator::Estimator;
 use geometry::covariance_check::{CovarianceError, check_covariance};
 use geometry::{MAX_COORDINATE_M, Pose, PoseWithCovariance, is_coordinate};
 use nalgebra::Vector3;
@@ -177,9 +178,10 @@ struct Prior {
 }
 
 impl Prior {
-    /// The pose of the first camera in the map at a clone: as set, moved on by odometry. Errors of odometry are counted twice at most.
-    fn global_from_camera(&self, estimator: &Estimator, clone: CloneId) -> Option<PoseWithCovariance> {
-        let moved = self.local_from_imu.inverse().compose(&estimator.local_from_camera(clone)?);
+    /// The pose of a camera in the map at an image: as set, moved on by odometry. Errors of odometry are counted twice at most.
+    fn global_from_camera(&self, estimator: &Estimator, image: QueryImage) -> Option<PoseWithCovariance> {
+        let local_from_camera = estimator.local_from_camera(image.clone, image.camera)?;
+        let moved = self.local_from_imu.inverse().compose(&local_from_camera);
         Some(self.global_from_imu.compose(&moved))
     }
 }
@@ -238,9 +240,9 @@ impl InitialPoseSearch {
     }
 
     /// The prior of a query: the pose of the operator where there is one.
-    pub(crate) fn prior(&self, estimator: &Estimator, clone: CloneId) -> Option<PoseWithCovariance> {
+    pub(crate) fn prior(&self, estimator: &Estimator, image: QueryImage) -> Option<PoseWithCovariance> {
         match &self.stage {
-            Stage::Searched(prior) => prior.global_from_camera(estimator, clone),
+            Stage::Searched(prior) => prior.global_from_camera(estimator, image),
             _ => None,
         }
     }
@@ -249,13 +251,13 @@ impl InitialPoseSearch {
     ///
     /// # Arguments
     /// * `stamp_ns`: of the image, nanoseconds. One from before the pose was set decides nothing.
-    pub(crate) fn answered(&mut self, estimator: &Estimator, clone: CloneId, stamp_ns: i64) {
+    pub(crate) fn answered(&mut self, estimator: &Estimator, image: QueryImage, stamp_ns: i64) {
         let Stage::Searched(prior) = &self.stage else { return };
         if stamp_ns < prior.stamp_ns {
             return;
         }
-        let (found, expected) =
-            (estimator.global_from_camera(clone), prior.global_from_camera(estimator, clone));
+        let found = estimator.global_from_camera(image.clone, image.camera);
+        let expected = prior.global_from_camera(estimator, image);
         let (Some(found), Some(expected)) = (found, expected) else { return };
         let (metres, radians) = distance(&found.pose, &expected.pose);
         let degrees = radians.to_degrees();

@@ -17,6 +17,7 @@
 //! | [`initial_pose`] | poses that an operator sets, as priors of map queries |
 //! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the one buffer of IMU readings; what is wrong with the sensors |
 //! | `prediction` | odometry at the rate of the IMU |
+//! | `query_cameras` | which camera the map is asked about next |
 //! | `alarms` | what contradicts the sensors or the map: logged when it begins and ends, kept for the report |
 //! | `error` | [`RobotError`], [`RunError`] |
 //! | [`stop`] | [`StopSignal`](stop::StopSignal), and a runtime whose end does not wait |
@@ -37,6 +38,7 @@ pub mod map_conversion;
 mod map_queries;
 mod output;
 mod prediction;
+mod query_cameras;
 mod report;
 mod run;
 mod run_status;
@@ -49,6 +51,7 @@ pub use estimate::{Estimate, GlobalEstimate, StatusReport};
 pub use event::Event;
 pub use link::{LinkError, MapLink, OpeningLink, RobotLink};
 pub use output::{Connection, Output, PublishMotion};
+pub use query_cameras::QueryImage;
 pub use report::RunReport;
 pub use run::Robot;
 pub use settings::{RobotSettings, estimator_config, wheel_config};

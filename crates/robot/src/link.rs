@@ -1,10 +1,10 @@
 //! A robot's connection to its map, which may come up after the robot.
 
 use super::output::Connection;
+use super::query_cameras::QueryImage;
 use super::run::Robot;
 use client::session::{SessionError, SessionOptions, close_session, open_session};
 use client::{ClientError, MapChangeSubscriber, MapClient, QueryTasks};
-use estimator::CloneId;
 use protocol::keys::{self, NameError};
 use std::error::Error;
 use std::time::Duration;
@@ -114,7 +114,7 @@ impl OpeningLink {
 #[derive(Default)]
 pub(crate) struct MapConnection {
     /// Sends queries to the map server; `None` for odometry only, and before the session is open.
-    pub(crate) queries: Option<QueryTasks<CloneId>>,
+    pub(crate) queries: Option<QueryTasks<QueryImage>>,
     /// Receives changes of the map; `None` as of the queries.
     pub(crate) changes: Option<MapChangeSubscriber>,
     /// A session that is not open yet.

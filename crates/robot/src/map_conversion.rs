@@ -9,10 +9,12 @@ use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MapIdentity, MatchStatus
 /// Matches of features that are not in the query are ignored.
 ///
 /// # Arguments
+/// * `camera`: whose image was queried.
 /// * `features`: of the query.
 /// * `held`: keyframes in the robot's state at the time of the query.
 /// * `replies`: in any order; those of another map or map version than the status are ignored.
 pub fn map_answer(
+    camera: usize,
     features: &FeatureSet,
     held: &[KeyframeId],
     status: &MatchStatus,
@@ -57,6 +59,7 @@ pub fn map_answer(
     MapAnswer {
         map_version: status.map_version,
         map_identity: identity_number(status.map_identity),
+        camera,
         keyframes,
         held_at_query: held.to_vec(),
         landmarks,

@@ -8,6 +8,7 @@ use super::estimate::Estimate;
 use super::event::Event;
 use super::extraction::{Extracted, ExtractionThread};
 use super::map_conversion::{identity_number, map_answer, map_revision};
+use super::query_cameras::QueryImage;
 use super::run::Robot;
 use super::stop::NOTICE;
 use client::{MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
@@ -28,17 +29,23 @@ impl Robot<'_> {
             return;
         }
         if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
-            self.send_query(clone, frame.stamp_ns, features.clone());
+            // Features of a recording are those of camera 0.
+            self.send_query(QueryImage { clone, camera: 0 }, frame.stamp_ns, features.clone());
             return;
         }
-        let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
+        let Some(extraction) = &mut self.extraction else { return };
         let due = self
             .last_extraction_ns
             .is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.settings.query_interval_ns);
         let Some(estimator) = self.supervisor.estimator_mut() else { return };
-        if due && extraction.is_idle() {
+        if due
+            && extraction.is_idle()
+            && let Some(camera) = self.query_cameras.next(frame)
+            && let Some(image) = frame.images.get(&camera)
+        {
             estimator.pin(clone);
-            extraction.submit(clone, frame.stamp_ns, image.clone());
+            extraction.submit(QueryImage { clone, camera }, frame.stamp_ns, image.clone());
+            self.query_cameras.note_query(camera, frame.stamp_ns);
             self.last_extraction_ns = Some(frame.stamp_ns);
         }
     }
@@ -49,11 +56,14 @@ impl Robot<'_> {
         self.initial_pose.update(self.supervisor.estimator_mut(), has_map);
     }
 
-    fn send_query(&mut self, clone: CloneId, stamp_ns: i64, mut features: FeatureSet) {
+    fn send_query(&mut self, image: QueryImage, stamp_ns: i64, mut features: FeatureSet) {
+        let QueryImage { clone, camera } = image;
         let mode = self.supervisor.config().mode;
-        let (Some(queries), Some(estimator), Some(camera)) =
-            (&mut self.map.queries, self.supervisor.estimator_since(stamp_ns), &self.query_camera)
-        else {
+        let (Some(queries), Some(estimator), Some(projection)) = (
+            &mut self.map.queries,
+            self.supervisor.estimator_since(stamp_ns),
+            self.query_cameras.camera(camera),
+        ) else {
             return;
         };
         if queries.pending() >= MAX_PENDING {
@@ -62,28 +72,28 @@ impl Robot<'_> {
             return;
         }
         for pixel in &mut features.pixels {
-            let seen = estimator.still_pixel(clone, &Vector2::from(pixel.map(f64::from)));
+            let seen = estimator.still_pixel(clone, camera, &Vector2::from(pixel.map(f64::from)));
             *pixel = [seen.x as f32, seen.y as f32];
         }
         let max_keyframes = if mode == MapMode::Single { 1 } else { self.settings.max_keyframes.max(1) };
         let request = MatchRequest {
             robot: self.settings.name.clone(),
             stamp_ns,
-            camera: camera.clone(),
+            camera: projection.clone(),
             features,
             prior: self
                 .initial_pose
-                .prior(estimator, clone)
-                .or_else(|| estimator.global_from_camera(clone))
+                .prior(estimator, image)
+                .or_else(|| estimator.global_from_camera(clone, camera))
                 .map(|global_from_camera| PosePrior { global_from_camera }),
-            gravity_in_camera: estimator.gravity_in_first_camera(clone).map(Into::into),
+            gravity_in_camera: estimator.gravity_in_camera(clone, camera).map(Into::into),
             held: estimator.held_keyframes(),
             map_version_held: estimator.map_version(),
             max_keyframes,
         };
         estimator.pin(clone);
         self.report.queries.sent += 1;
-        queries.submit(clone, request);
+        queries.submit(image, request);
     }
 
     /// Applies the answers that have come; as fast as possible (not in real time), waits for all pending ones.
@@ -155,24 +165,24 @@ impl Robot<'_> {
         let Some(estimator) = self.supervisor.estimator_since(extracted.stamp_ns) else { return };
         match extracted.features {
             Ok(features) if !features.is_empty() => {
-                self.send_query(extracted.clone, extracted.stamp_ns, features);
+                self.send_query(extracted.image, extracted.stamp_ns, features);
             }
-            Ok(_) => estimator.unpin(extracted.clone),
+            Ok(_) => estimator.unpin(extracted.image.clone),
             Err(reason) => {
                 tracing::warn!(%reason, "no query for this image: its features were not extracted");
-                estimator.unpin(extracted.clone);
+                estimator.unpin(extracted.image.clone);
             }
         }
     }
 
-    fn apply_result(&mut self, result: &QueryResult<CloneId>) -> Result<(), EstimatorError> {
+    fn apply_result(&mut self, result: &QueryResult<QueryImage>) -> Result<(), EstimatorError> {
         let failure = result.answer.as_ref().err().map(ToString::to_string);
         self.report.traffic.add(&Traffic { sent: result.bytes_sent, received: result.bytes_received });
-        let request = &result.request;
+        let (QueryImage { clone, camera }, request) = (result.token, &result.request);
         let matched = result.answer.as_ref().ok();
         let matched = matched.filter(|answer| answer.status.outcome == MatchOutcome::Matched);
         let matched = matched.map(|MatchAnswer { status, keyframes }| {
-            map_answer(&request.features, &request.held, status, keyframes.clone())
+            map_answer(camera, &request.features, &request.held, status, keyframes.clone())
         });
         if let Some(answer) = &matched {
             self.report.keyframes_pulled += answer.keyframes.len();
@@ -189,20 +199,24 @@ impl Robot<'_> {
         match (&matched, &result.answer) {
             (Some(answer), _) => {
                 let before = estimator.local_from_imu();
-                let report = estimator.map_update(result.token, answer)?;
+                let report = estimator.map_update(clone, answer)?;
                 let after = estimator.local_from_imu();
                 self.outputs.each(|output| output.correct(&before, &after));
                 event.note_report(&report);
                 self.report.note_first_fix(&report);
+                self.query_cameras.note_answer(camera, report.rejection.is_none());
                 if report.rejection.is_none() {
                     self.initial_pose.answered(estimator, result.token, request.stamp_ns);
                 }
                 refusal = report.rejection.filter(|reason| matches!(reason, Rejection::OtherMap { .. }));
             }
-            (None, Ok(answer)) => event.note_no_match(answer.status.outcome),
+            (None, Ok(answer)) => {
+                self.query_cameras.note_answer(camera, false);
+                event.note_no_match(answer.status.outcome);
+            }
             (None, Err(error)) => event.note_failure(&error.to_string()),
         }
-        estimator.unpin(result.token);
+        estimator.unpin(clone);
         self.note_event(&event);
         self.note_failure(
             failure.or_else(|| refusal.map(|reason| format!("its answer is refused: {reason}"))),
@@ -258,7 +272,7 @@ impl Robot<'_> {
     }
 
     /// Waits for the next answer; once the run is stopped, takes only those that are there.
-    fn next_answer(&mut self) -> Option<QueryResult<CloneId>> {
+    fn next_answer(&mut self) -> Option<QueryResult<QueryImage>> {
         let queries = self.map.queries.as_mut()?;
         while !self.settings.stop.is_stopped() && queries.pending() > 0 {
             let result = queries.wait_at_most(NOTICE);

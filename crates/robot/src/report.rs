@@ -38,7 +38,7 @@ pub struct RunReport {
     pub map_changes: MapChangeSummary,
     /// Frames skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
-    /// Stereo pairs and images without a partner; `None` for one camera, and before the end.
+    /// Stereo pairs and images without a partner; `None` without a stereo pair, and before the end.
     pub stereo_pairs: Option<PairSummary>,
     /// Frames that a live source dropped because nobody read them in time, or because they had no readings.
     pub dropped_frames: u64,

@@ -10,11 +10,11 @@ use super::input::{NextFrame, SensorFaults, SensorQueue};
 use super::link::MapConnection;
 use super::output::{Output, Outputs};
 use super::prediction::{Basis, Prediction};
+use super::query_cameras::QueryCameras;
 use super::report::RunReport;
 use super::run_status::AlarmKind;
 use super::settings::RobotSettings;
 use estimator::{Estimator, EstimatorError, InitMethod, TrackObservation};
-use geometry::Camera;
 use odometry::{EstimatorSupervisor, FrontEnd, RepeatedWarning, calibrated_cameras};
 use sensors::{Contents, Frame, SensorError, SensorSource};
 use std::time::{Duration, Instant};
@@ -62,8 +62,8 @@ pub struct Robot<'a> {
     pub(crate) extraction: Option<ExtractionThread>,
     /// Time of the last image that features were extracted from.
     pub(crate) last_extraction_ns: Option<i64>,
-    /// Camera 0, which the queries are about.
-    pub(crate) query_camera: Option<Camera>,
+    /// The cameras that queries are about.
+    pub(crate) query_cameras: QueryCameras,
     pub(crate) map: MapConnection,
     /// Poses that an operator sets.
     pub(crate) initial_pose: InitialPoseSearch,
@@ -91,8 +91,7 @@ impl<'a> Robot<'a> {
             return Err(RobotError::NoCamera);
         }
         let has_front_end = contents.images && !contents.tracks;
-        let front_end =
-            has_front_end.then(|| FrontEnd::new(cameras, settings.tracker.clone())).transpose()?;
+        let front_end = has_front_end.then(|| FrontEnd::new(cameras, &settings.tracker)).transpose()?;
         let rig = calibrated_cameras(cameras);
         let config = settings.estimator.clone();
         let supervisor = match &settings.initial {
@@ -124,7 +123,9 @@ impl<'a> Robot<'a> {
             front_end: None,
             extraction: None,
             last_extraction_ns: None,
-            query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
+            query_cameras: QueryCameras::new(
+                &calibration.cameras[..settings.cameras.min(calibration.cameras.len())],
+            ),
             map: MapConnection::default(),
             initial_pose: InitialPoseSearch::new(settings.initial_poses.clone()),
             supervisor,
@@ -151,7 +152,7 @@ impl<'a> Robot<'a> {
     /// # Arguments
     /// * `extractor`: that of the map.
     /// * `max_features`: of an image; a map server takes at most [`protocol::MAX_QUERY_FEATURES`].
-    /// * `mask`: black (zero) where camera 0 sees the robot itself.
+    /// * `mask`: black (zero) where camera 0 sees the robot itself; other cameras have none.
     ///
     /// # Errors
     /// The operating system refuses a thread.
@@ -399,7 +400,7 @@ impl<'a> Robot<'a> {
             let used = |track: &&TrackObservation| usize::from(track.camera) < self.supervisor.camera_count();
             return Some(frame.tracks.iter().filter(used).copied().collect());
         };
-        if frame.images[0].is_none() {
+        if frame.images.is_empty() {
             return Some(Vec::new());
         }
         front_end

@@ -14,8 +14,8 @@ const QUERY_INTERVAL_NS: i64 = 500_000_000;
 const QUERY_DEADLINE: Duration = Duration::from_secs(2);
 /// Default of [`RobotSettings::max_keyframes`].
 const MAX_KEYFRAMES: u16 = 4;
-/// Default of [`RobotSettings::cameras`]: a stereo pair where there is one.
-const CAMERAS: usize = 2;
+/// Default of [`RobotSettings::cameras`]: all.
+const CAMERAS: usize = usize::MAX;
 
 /// How a robot plays its source. [`RobotSettings::new`] has the defaults.
 #[derive(Clone, Debug)]
@@ -27,7 +27,7 @@ pub struct RobotSettings {
     pub estimator: EstimatorConfig,
     /// The state that the estimator begins with; `None` where it initializes itself, at rest or in motion.
     pub initial: Option<InitialState>,
-    /// Number of cameras to use at most, the first ones of the calibration: two. There is no more than a stereo pair.
+    /// Number of cameras to use at most, the first ones of the calibration: all.
     pub cameras: usize,
     /// The front end, for a source that has images and no tracks.
     pub tracker: TrackerOptions,

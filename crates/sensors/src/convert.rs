@@ -111,8 +111,7 @@ fn to_folder(
     let sequence = Sequence::open_with(input, files)?;
     writer::write(&sequence, out)?;
     for (index, frame) in sequence.frames.iter().enumerate() {
-        for (camera, image) in frame.images.iter().enumerate() {
-            let Some(image) = image else { continue };
+        for (camera, image) in &frame.images {
             let folder = out.join(format!("mav0/cam{camera}/data"));
             let io = |source| ConvertError::Io { path: folder.clone(), source };
             std::fs::create_dir_all(&folder).map_err(io)?;
@@ -189,8 +188,8 @@ fn write_mounting(bag: &mut RosBagWriter, sensors: &RosSensors, stamp_ns: i64) -
 /// Writes the images of a frame, each after the projection of its camera.
 fn write_images(bag: &mut RosBagWriter, sensors: &RosSensors, frame: &Frame) -> Result<(), ConvertError> {
     let stamp_ns = frame.stamp_ns;
-    for (camera, image) in frame.images.iter().enumerate() {
-        let (Some(image), Some(name)) = (image, sensors.camera_frame(camera)) else { continue };
+    for (&camera, image) in &frame.images {
+        let Some(name) = sensors.camera_frame(camera) else { continue };
         let message = image_message(image, stamp_ns, name)?.ok_or(ConvertError::Time { stamp_ns })?;
         if let Some((topic, info)) = sensors.info(camera, stamp_ns) {
             bag.write(&topic, message_type::<CameraInfo>, stamp_ns, &encode(&info)?)?;

@@ -83,13 +83,16 @@ pub enum SequenceError {
         /// What is wrong, and what to do.
         problem: String,
     },
-    /// The images of the two cameras are swapped, or their poses on the IMU.
+    /// The images of the two cameras of a stereo pair are swapped, or their poses on the IMU.
     #[error(
-        "the cameras are swapped: {as_swapped} matches of the first images lie in front of the cameras with cam0 and cam1 \
-         exchanged, and {as_given} as given; exchange the folders cam0/data and cam1/data, or the poses (T_BS) of the \
-         two cameras"
+        "the cameras are swapped: {as_swapped} matches of the first images lie in front of the cameras with cam{} and cam{} \
+         exchanged, and {as_given} as given; exchange their images (the folders data), or the poses (T_BS) of the two cameras",
+        cameras[0],
+        cameras[1]
     )]
     SwappedCameras {
+        /// The two cameras.
+        cameras: [usize; 2],
         /// Matches that agree with the cameras as given.
         as_given: usize,
         /// Matches that agree with the cameras exchanged.

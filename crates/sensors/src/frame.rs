@@ -4,6 +4,7 @@ use super::TrackObservation;
 use super::original::{DecodedImage, OriginalImage};
 use protocol::FeatureSet;
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -16,9 +17,9 @@ pub struct Frame {
     /// Time of exposure on the clock of the cameras, nanoseconds. A calibrated offset to the IMU's clock (Kalibr's
     /// `timeshift_cam_imu`) is added already; what remains is the estimator's to estimate.
     pub stamp_ns: i64,
-    /// The images of camera 0 and camera 1.
-    pub images: [Option<ImageData>; 2],
-    /// Tracked points (pixels), those of camera 0 first; empty where nothing was tracked.
+    /// The images by the index of their camera; cameras that were not triggered, or whose image is lost, are missing.
+    pub images: BTreeMap<usize, ImageData>,
+    /// Tracked points (pixels); empty where nothing was tracked.
     pub tracks: Vec<TrackObservation>,
     /// Features of the image of camera 0 for place recognition, where they were extracted.
     pub features: Option<FeatureSet>,

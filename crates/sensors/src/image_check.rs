@@ -1,6 +1,7 @@
 //! Whether the images of a recording have the size that the calibration states.
 
 use super::{CameraSensor, Frame, ImageData, SequenceError};
+use std::collections::{BTreeMap, BTreeSet};
 use vision::ImageError;
 
 /// So many first images of a camera in a bag that are all of no use are no accident.
@@ -9,8 +10,10 @@ const UNUSABLE: usize = 5;
 /// Checks the first image of each camera, of files from their headers.
 #[derive(Debug, Default)]
 pub(crate) struct ImageCheck {
-    is_checked: [bool; 2],
-    unusable: [usize; 2],
+    /// Cameras whose size is known to be right.
+    checked: BTreeSet<usize>,
+    /// Images of each camera so far that are of an unknown encoding.
+    unusable: BTreeMap<usize, usize>,
 }
 
 impl ImageCheck {
@@ -18,19 +21,19 @@ impl ImageCheck {
     /// [`SequenceError::ImageSize`]; [`SequenceError::UnusableImages`] where the first ones of a bag are of an unknown encoding.
     /// A single image that cannot be read is left to its reader.
     pub(crate) fn add(&mut self, frame: &Frame, cameras: &[CameraSensor]) -> Result<(), SequenceError> {
-        for (index, sensor) in cameras.iter().enumerate().take(2) {
-            let Some(image) = frame.images[index].as_ref() else { continue };
-            if self.is_checked[index] {
+        for (&index, image) in &frame.images {
+            let Some(sensor) = cameras.get(index).filter(|_| !self.checked.contains(&index)) else {
                 continue;
-            }
+            };
             match image.size() {
                 Ok(size) => {
-                    self.is_checked[index] = true;
+                    self.checked.insert(index);
                     check_size(image, size, (sensor.camera.width, sensor.camera.height), index)?;
                 }
                 Err(source) if matches!(image, ImageData::Stored(_)) && is_of_unknown_format(&source) => {
-                    self.unusable[index] += 1;
-                    if self.unusable[index] == UNUSABLE {
+                    let unusable = self.unusable.entry(index).or_default();
+                    *unusable += 1;
+                    if *unusable == UNUSABLE {
                         return Err(SequenceError::UnusableImages { camera: index, source });
                     }
                 }

@@ -92,7 +92,7 @@ mod tests;
 
 #[cfg(feature = "bags")]
 pub use bag::{BagCamera, BagError, BagSensors};
-pub use calibration::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor};
+pub use calibration::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
 pub use calibration_files::CalibrationFiles;
 pub use error::{SensorError, SequenceError};
 pub use euroc::{
@@ -100,6 +100,7 @@ pub use euroc::{
     read_reference_positions, writer,
 };
 pub use frame::{Frame, ImageData, StoredImage};
+pub use geometry::CameraGroup;
 pub use gravity::direction_of_gravity;
 pub use imu_check::{ImuCheck, ImuUnitError};
 pub use imu_units::ImuUnits;

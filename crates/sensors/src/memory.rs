@@ -2,7 +2,7 @@
 
 use super::{
     CameraSensor, Contents, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
-    TruthRow, WheelReading, WheelReadings, WheelSensor,
+    TruthRow, WheelReading, WheelReadings, WheelSensor, camera_groups,
 };
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ pub struct Sequence {
     pub wheels: Option<WheelSensor>,
     /// Their readings, strictly increasing in time; empty without wheels.
     pub wheel_readings: Vec<WheelReading>,
-    /// One camera, or the two of a stereo pair.
+    /// The cameras; frames refer to them by index.
     pub cameras: Vec<CameraSensor>,
     /// The frames of the cameras, strictly increasing in time.
     pub frames: Vec<Frame>,
@@ -33,7 +33,7 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Whether camera 0 has an image of any frame.
+    /// Whether any frame has an image.
     pub fn has_images(&self) -> bool {
         self.contents().images
     }
@@ -51,12 +51,19 @@ impl Sequence {
         contents
     }
 
-    /// Frames with images of both cameras, and with one of camera 0 only; `None` for one camera.
+    /// Images of both cameras of a stereo pair, and of its first camera only; `None` without a stereo pair.
     pub(crate) fn stereo_pairs(&self) -> Option<PairCounts> {
-        let images = || self.frames.iter().map(|frame| frame.images.each_ref().map(Option::is_some));
-        let count = |wanted| images().filter(|found| *found == wanted).count();
-        let (pairs, lone_first) = (count([true, true]), count([true, false]));
-        (self.cameras.len() > 1).then(|| PairCounts { pairs, lone_first, ..PairCounts::default() })
+        let mut counts: Option<PairCounts> = None;
+        for group in camera_groups(&self.cameras) {
+            let Some(second) = group.second else { continue };
+            let counts = counts.get_or_insert_default();
+            let has = |frame: &&Frame, camera| frame.images.contains_key(&camera);
+            let firsts = || self.frames.iter().filter(|frame| has(frame, group.first));
+            let pairs = firsts().filter(|frame| has(frame, second)).count();
+            counts.pairs += pairs;
+            counts.lone_first += firsts().count() - pairs;
+        }
+        counts
     }
 
     /// Calibration of the sensors.

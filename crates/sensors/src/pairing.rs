@@ -1,22 +1,25 @@
-//! Which images of two cameras make a pair: one rule for folders, bags and live sensors.
+//! Which images make a frame: one rule for folders, bags and live sensors.
 //!
-//! An image is paired with the one of the other camera whose stamp is nearest, if their stamps differ by no more than a
-//! tolerance, and with no second one. A pair has the stamp of camera 0. An image of camera 0 without a partner is used
-//! as that of one camera, one of camera 1 is left out.
+//! An image is paired with the one of another camera whose stamp is nearest, if their stamps differ by no more than a
+//! tolerance, and with no second one. A frame has the stamp of its first camera. Of a stereo pair, an image of the first camera
+//! without a partner is used as that of one camera, one of the second is left out. Cameras that are no pair need no partner: their
+//! images are joined to the frame of the others where there is one, and are a frame of their own where there is none.
+
+use geometry::CameraGroup;
 
 /// Largest difference between the stamps of the images of a pair, nanoseconds, unless another is asked for. Cameras that
 /// are triggered together are stamped by their drivers a few milliseconds apart; at 100 Hz it is half a period.
 pub const PAIR_TOLERANCE_NS: i64 = 5_000_000;
 
-/// Pairs and lone images of a stereo recording.
+/// Stereo pairs and lone images of a recording, of all stereo pairs of its cameras.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PairCounts {
     /// Frames with an image of both cameras.
     pub pairs: usize,
-    /// Images of camera 0 without a partner: used as those of one camera.
+    /// Images of the first camera of a pair without a partner: used as those of one camera.
     pub lone_first: usize,
-    /// Images of camera 1 without a partner: left out.
+    /// Images of the second camera of a pair without a partner: left out.
     pub lone_second: usize,
     /// Largest difference between the stamps of a pair, nanoseconds.
     pub largest_difference_ns: i64,
@@ -33,11 +36,72 @@ pub(crate) fn nearest(
         .min_by_key(|candidate_ns| candidate_ns.abs_diff(stamp_ns))
 }
 
+/// The images that make a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct JoinedImages {
+    /// Stamp of the frame, nanoseconds.
+    pub(crate) stamp_ns: i64,
+    /// For each camera the number of its image, where it has one.
+    pub(crate) images: Vec<Option<usize>>,
+}
+
+/// The frames of the cameras of a rig, in order of time.
+///
+/// # Arguments
+/// * `stamps`: of each camera's images, strictly increasing, nanoseconds.
+///
+/// # Returns
+/// The frames, and how many stereo pairs they have; `None` without such a group.
+pub(crate) fn join(
+    groups: &[CameraGroup],
+    stamps: &[&[i64]],
+    tolerance_ns: i64,
+) -> (Vec<JoinedImages>, Option<PairCounts>) {
+    let mut frames = Vec::new();
+    let mut pairs: Option<PairCounts> = None;
+    for group in groups {
+        let first = stamps[group.first];
+        let partners = group.second.map(|second| {
+            let (partners, counts) = pair(first, stamps[second], tolerance_ns);
+            pairs.get_or_insert_default().add(&counts);
+            (second, partners)
+        });
+        let frame = |(number, stamp_ns): (usize, &i64)| {
+            let mut images = vec![None; stamps.len()];
+            images[group.first] = Some(number);
+            if let Some((second, partners)) = &partners {
+                images[*second] = partners[number];
+            }
+            JoinedImages { stamp_ns: *stamp_ns, images }
+        };
+        let of_group: Vec<JoinedImages> = first.iter().enumerate().map(frame).collect();
+        frames = merged(frames, of_group, tolerance_ns);
+    }
+    (frames, pairs)
+}
+
+/// The frames of two groups of cameras: those that belong together are joined.
+fn merged(mut frames: Vec<JoinedImages>, others: Vec<JoinedImages>, tolerance_ns: i64) -> Vec<JoinedImages> {
+    let stamps =
+        |frames: &[JoinedImages]| -> Vec<i64> { frames.iter().map(|frame| frame.stamp_ns).collect() };
+    let (partners, _) = pair(&stamps(&frames), &stamps(&others), tolerance_ns);
+    let mut others: Vec<Option<JoinedImages>> = others.into_iter().map(Some).collect();
+    for (frame, partner) in frames.iter_mut().zip(partners) {
+        let Some(other) = partner.and_then(|number| others[number].take()) else { continue };
+        for (image, of_other) in frame.images.iter_mut().zip(other.images) {
+            *image = image.or(of_other);
+        }
+    }
+    frames.extend(others.into_iter().flatten());
+    frames.sort_by_key(|frame| frame.stamp_ns);
+    frames
+}
+
 /// The frames of two cameras: for each image of camera 0 the number of its partner, where it has one.
 ///
 /// # Arguments
 /// * `first`, `second`: stamps of both cameras, strictly increasing, nanoseconds.
-pub(crate) fn pair(first: &[i64], second: &[i64], tolerance_ns: i64) -> (Vec<Option<usize>>, PairCounts) {
+fn pair(first: &[i64], second: &[i64], tolerance_ns: i64) -> (Vec<Option<usize>>, PairCounts) {
     let mut counts = PairCounts::default();
     let mut partners = Vec::with_capacity(first.len());
     // Images of camera 1 before this one have a partner, or are too early for one.
@@ -68,6 +132,14 @@ pub(crate) fn pair(first: &[i64], second: &[i64], tolerance_ns: i64) -> (Vec<Opt
 }
 
 impl PairCounts {
+    /// Adds those of another stereo pair.
+    fn add(&mut self, of_pair: &Self) {
+        self.pairs += of_pair.pairs;
+        self.lone_first += of_pair.lone_first;
+        self.lone_second += of_pair.lone_second;
+        self.largest_difference_ns = self.largest_difference_ns.max(of_pair.largest_difference_ns);
+    }
+
     /// Says how many pairs a recording has: a warning where images are left alone.
     pub(crate) fn tell(&self, recording: &str, tolerance_ns: i64) {
         let Self { pairs, lone_first, lone_second, .. } = self;
@@ -80,8 +152,8 @@ impl PairCounts {
         } else {
             tracing::warn!(
                 "{recording}: {pairs} stereo pairs, whose stamps differ by at most {difference_ms:.3} ms; {lone_first} images of \
-                 cam0 have no partner within {tolerance_ms} ms and are used alone, {lone_second} of cam1 are left out \
-                 (--pair-tolerance-ms)"
+                 the first camera have no partner within {tolerance_ms} ms and are used alone, {lone_second} of the second are left \
+                 out (--pair-tolerance-ms)"
             );
         }
     }
@@ -122,6 +194,45 @@ mod tests {
         ] {
             assert_eq!(paired(first, second), (pairs, lone_first, lone_second), "{name}");
         }
+    }
+
+    /// The stamps of each frame and of its images, milliseconds.
+    fn joined(groups: &[(usize, Option<usize>)], stamps: &[&[i64]]) -> Vec<(i64, Vec<Option<i64>>)> {
+        let groups: Vec<CameraGroup> =
+            groups.iter().map(|&(first, second)| CameraGroup { first, second }).collect();
+        let scaled: Vec<Vec<i64>> =
+            stamps.iter().map(|stamps| stamps.iter().map(|ms| ms * MS).collect()).collect();
+        let scaled: Vec<&[i64]> = scaled.iter().map(Vec::as_slice).collect();
+        let (frames, pairs) = join(&groups, &scaled, PAIR_TOLERANCE_NS);
+        assert_eq!(pairs.is_some(), groups.iter().any(|group| group.second.is_some()));
+        assert!(frames.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns));
+        let images = |frame: JoinedImages| {
+            let stamp =
+                |(camera, number): (usize, Option<usize>)| number.map(|number| stamps[camera][number]);
+            (frame.stamp_ns / MS, frame.images.into_iter().enumerate().map(stamp).collect())
+        };
+        frames.into_iter().map(images).collect()
+    }
+
+    #[test]
+    fn cameras_that_are_no_pair_are_joined_where_they_can_be_and_never_left_out() {
+        let alone = [(0, None), (1, None)];
+        // Together, one of them missing once each.
+        assert_eq!(
+            joined(&alone, &[&[0, 100], &[2, 50, 102]]),
+            [(0, vec![Some(0), Some(2)]), (50, vec![None, Some(50)]), (100, vec![Some(100), Some(102)])]
+        );
+        // In turn, and with a camera that is dead.
+        assert_eq!(
+            joined(&alone, &[&[0, 100], &[50]]),
+            [(0, vec![Some(0), None]), (50, vec![None, Some(50)]), (100, vec![Some(100), None])]
+        );
+        assert_eq!(joined(&alone, &[&[], &[50]]), [(50, vec![None, Some(50)])]);
+        // A lone image of the second camera of a pair is left out, one of a third camera is not.
+        assert_eq!(
+            joined(&[(0, Some(2)), (1, None)], &[&[0], &[3, 50], &[1, 51]]),
+            [(0, vec![Some(0), Some(3), Some(1)]), (50, vec![None, Some(50), None])]
+        );
     }
 
     #[test]

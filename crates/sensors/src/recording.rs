@@ -139,7 +139,7 @@ impl Recording<'_> {
         self.contents
     }
 
-    /// Stereo pairs and images without a partner, of the whole recording; `None` for one camera.
+    /// Stereo pairs and images without a partner, of the whole recording; `None` without a stereo pair.
     pub fn stereo_pairs(&self) -> Option<PairCounts> {
         match &self.storage {
             Storage::Disk(stored) => stored.stereo_pairs(),

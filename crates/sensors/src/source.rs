@@ -86,7 +86,7 @@ pub trait SensorSource {
         None
     }
 
-    /// Stereo pairs and images without a partner, of a live source those so far; `None` for one camera.
+    /// Stereo pairs and images without a partner, of a live source those so far; `None` without a stereo pair.
     fn stereo_pairs(&self) -> Option<PairCounts> {
         None
     }
@@ -132,7 +132,7 @@ impl SensorEvent {
 pub struct Contents {
     /// Number of frames, where it is known beforehand; for a progress display.
     pub frames: Option<usize>,
-    /// Whether there are images of camera 0.
+    /// Whether there are images.
     pub images: bool,
     /// Whether there are tracks. Without them a front end tracks points in the images.
     pub tracks: bool,
@@ -155,7 +155,7 @@ impl Contents {
     /// Counts a frame.
     pub(crate) fn add(&mut self, frame: &Frame) {
         *self.frames.get_or_insert_default() += 1;
-        self.images |= frame.images[0].is_some();
+        self.images |= !frame.images.is_empty();
         self.tracks |= !frame.tracks.is_empty();
         self.features |= frame.features.is_some();
     }

@@ -1,6 +1,6 @@
 //! Swapped images of a stereo pair, recognized from matches: with the cameras exchanged, points lie behind them.
 
-use super::{CameraSensor, Frame, SequenceError};
+use super::{CameraSensor, Frame, SequenceError, camera_groups};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -22,25 +22,41 @@ const MIN_MATCHES: usize = 30;
 /// An order is taken for right when so many times more matches agree with it.
 const MAJORITY: usize = 4;
 
-/// Checks that the images of a stereo pair are not swapped.
+/// Checks that the images of no stereo pair are swapped.
 ///
 /// Features of a few early images are matched; a match agrees with an order of the cameras when its rays meet in front of
-/// both. Recordings of one camera, without images or with too few matches pass.
+/// both. Recordings without stereo pairs, without images or with too few matches pass.
+///
+/// # Arguments
+/// * `frames`: opens the frames; called once for each stereo pair.
 ///
 /// # Errors
 /// [`SequenceError::SwappedCameras`]; those of `frames`.
-pub fn check_stereo(
+pub fn check_stereo<F: IntoIterator<Item = Result<Frame, SequenceError>>>(
     cameras: &[CameraSensor],
+    frames: impl Fn() -> Result<F, SequenceError>,
+) -> Result<(), SequenceError> {
+    for group in camera_groups(cameras) {
+        if let Some(second) = group.second {
+            check_pair(cameras, [group.first, second], frames()?)?;
+        }
+    }
+    Ok(())
+}
+
+fn check_pair(
+    cameras: &[CameraSensor],
+    pair_of: [usize; 2],
     frames: impl IntoIterator<Item = Result<Frame, SequenceError>>,
 ) -> Result<(), SequenceError> {
-    let [first, second, ..] = cameras else { return Ok(()) };
+    let [first, second] = pair_of.map(|camera| &cameras[camera]);
     let second_from_first = second.imu_from_camera.inverse() * first.imu_from_camera;
     let pair = StereoPair { first: &first.camera, second: &second.camera, second_from_first };
     let mut extractor = SiftExtractor::default();
     let (mut as_given, mut as_swapped, mut stereo_frames) = (0, 0, 0);
     for frame in frames {
         let frame = frame?;
-        let [Some(left), Some(right)] = &frame.images else { continue };
+        let [Some(left), Some(right)] = pair_of.map(|camera| frame.images.get(&camera)) else { continue };
         stereo_frames += 1;
         if (stereo_frames - 1) % STRIDE != 0 {
             continue;
@@ -59,7 +75,7 @@ pub fn check_stereo(
         }
     }
     if as_swapped >= MIN_MATCHES && as_swapped >= MAJORITY * as_given {
-        return Err(SequenceError::SwappedCameras { as_given, as_swapped });
+        return Err(SequenceError::SwappedCameras { cameras: pair_of, as_given, as_swapped });
     }
     Ok(())
 }
@@ -116,6 +132,7 @@ mod tests {
     use crate::ImageData;
     use geometry::camera::Distortion;
     use nalgebra::UnitQuaternion;
+    use std::collections::BTreeMap;
 
     const FOCAL: f64 = 300.0;
     const BASELINE_M: f64 = 0.1;
@@ -159,19 +176,21 @@ mod tests {
         ImageData::from(GrayImage::from_fn(320, 240, pixel))
     }
 
-    fn frames(images: [Option<ImageData>; 2]) -> impl Iterator<Item = Result<Frame, SequenceError>> {
-        (0..30).map(move |index| Ok(Frame { stamp_ns: index, images: images.clone(), ..Frame::default() }))
+    fn check(cameras: &[CameraSensor], images: &[&ImageData]) -> Result<(), SequenceError> {
+        let images: BTreeMap<usize, ImageData> = images.iter().copied().cloned().enumerate().collect();
+        let frame = |index| Frame { stamp_ns: index, images: images.clone(), ..Frame::default() };
+        check_stereo(cameras, || Ok((0..30).map(|index| Ok(frame(index)))))
     }
 
     #[test]
     fn swapped_images_are_recognized_and_right_ones_pass() {
         let (left, right) = (image(0.0), image(BASELINE_M));
-        check_stereo(&cameras(), frames([Some(left.clone()), Some(right.clone())])).unwrap();
-        let swapped = check_stereo(&cameras(), frames([Some(right), Some(left.clone())])).unwrap_err();
+        check(&cameras(), &[&left, &right]).unwrap();
+        let swapped = check(&cameras(), &[&right, &left]).unwrap_err();
         assert!(matches!(swapped, SequenceError::SwappedCameras { .. }), "{swapped}");
         // What says nothing passes: one camera, one image, the same image twice.
-        check_stereo(&cameras()[..1], frames([Some(left.clone()), None])).unwrap();
-        check_stereo(&cameras(), frames([Some(left.clone()), None])).unwrap();
-        check_stereo(&cameras(), frames([Some(left.clone()), Some(left)])).unwrap();
+        check(&cameras()[..1], &[&left]).unwrap();
+        check(&cameras(), &[&left]).unwrap();
+        check(&cameras(), &[&left, &left]).unwrap();
     }
 }

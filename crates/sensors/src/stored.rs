@@ -34,7 +34,7 @@ pub(crate) trait Stored: Debug + Send + Sync {
     /// What was added to the recorded stamps of the frames (ns).
     fn time_offset_ns(&self) -> i64;
 
-    /// Stereo pairs and images without a partner; `None` for one camera.
+    /// Stereo pairs and images without a partner; `None` without a stereo pair.
     fn stereo_pairs(&self) -> Option<PairCounts>;
 
     /// What the readings are read from, for errors.

@@ -1,7 +1,7 @@
 //! A recording is the same in every format that it is converted to.
 
 use sensors::convert::{ConvertError, Target, convert};
-use sensors::{CalibrationFiles, ImageData, Recording, SensorEvent, SensorSource};
+use sensors::{CalibrationFiles, Frame, ImageData, Recording, SensorEvent, SensorSource};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> PathBuf {
@@ -26,16 +26,15 @@ fn assert_same(found: &Recording<'_>, expected: &Recording<'_>, name: &str) {
     };
     let (found, expected) = (events(found), events(expected));
     assert_eq!(found.len(), expected.len(), "{name}");
-    let pixels = |image: &Option<ImageData>| image.as_ref().map(|image| image.read().unwrap().into_owned());
+    let pixels = |frame: &Frame| -> Vec<_> {
+        let read = |(camera, image): (&usize, &ImageData)| (*camera, image.read().unwrap().into_owned());
+        frame.images.iter().map(read).collect()
+    };
     for pair in found.iter().zip(&expected) {
         match pair {
             (SensorEvent::Frame(found), SensorEvent::Frame(expected)) => {
                 assert_eq!(found.stamp_ns, expected.stamp_ns, "{name}");
-                assert_eq!(
-                    found.images.each_ref().map(pixels),
-                    expected.images.each_ref().map(pixels),
-                    "{name}"
-                );
+                assert_eq!(pixels(found), pixels(expected), "{name}");
             }
             (found, expected) => assert_eq!(found, expected, "{name}"),
         }

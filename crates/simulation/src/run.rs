@@ -156,9 +156,9 @@ fn frames(
                 index.is_multiple_of(every) && !dropouts.iter().any(|stretch| stretch.contains(&fraction));
             Frame {
                 stamp_ns,
-                images: [None, None],
                 tracks: front_end.track(&exposure, cameras, landmarks),
                 features: has_features.then(|| extractor.extract(&exposure, &cameras[0], landmarks)),
+                ..Frame::default()
             }
         })
         .collect()

@@ -35,6 +35,8 @@ pub enum Cameras {
     Mono,
     /// cam0 and cam1.
     Stereo,
+    /// Every camera.
+    All,
 }
 
 /// What to do with the map.

@@ -77,7 +77,7 @@ pub struct RobotArguments {
     #[arg(skip)]
     pub gravity_in_own_frame: Option<Vector3<f64>>,
 
-    /// Cameras to use [default: stereo where the recording has cam1]
+    /// Cameras to use [default: all]
     #[arg(long, value_enum, help_heading = INPUT)]
     pub cameras: Option<Cameras>,
     /// Begin so many seconds after the first image
@@ -269,7 +269,7 @@ impl RobotArguments {
         }
         match self.cameras {
             Some(Cameras::Mono) => Ok(1),
-            None => Ok(available.min(2)),
+            None | Some(Cameras::All) => Ok(available),
             Some(Cameras::Stereo) if available >= 2 => Ok(2),
             Some(Cameras::Stereo) => {
                 bail!("--cameras stereo: there is only one camera; add mav0/cam1, or use --cameras mono")

@@ -179,15 +179,13 @@ impl Output for MessageRecording {
         }
         let stamp_ns = frame.stamp_ns.saturating_add(self.clock_shift_ns);
         self.mount(stamp_ns);
-        for (camera, image) in frame.images.iter().enumerate() {
-            let (Some(image), Some(name)) = (image.clone(), self.topics.camera_frame(camera)) else {
-                continue;
-            };
+        for (&camera, image) in &frame.images {
+            let Some(name) = self.topics.camera_frame(camera) else { continue };
             let qos = Some(self.topics.qos(Stream::Camera(camera)));
             if let Some((topic, info)) = self.topics.info(camera, stamp_ns) {
                 self.queue.message(&topic, stamp_ns, &info, qos);
             }
-            self.queue.image((camera, name), stamp_ns, image, qos);
+            self.queue.image((camera, name), stamp_ns, image.clone(), qos);
         }
     }
 }

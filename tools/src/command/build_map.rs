@@ -136,7 +136,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let stored = if args.extend { Some(load_map(&args.map)?.contents) } else { None };
     let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     if !args.mono {
-        check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
+        check_stereo(&sequence.cameras, || Ok(sequence.frames.iter().cloned().map(Ok)))?;
     }
     let mut options = options(&args)?;
     let references = if args.extend { None } else { references(&args, &sequence)? };
@@ -213,7 +213,7 @@ fn odometry(
     options: &mut BuildOptions,
     show: Progress<'_>,
 ) -> anyhow::Result<Odometry> {
-    let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
+    let cameras = if args.mono { 1 } else { sequence.cameras.len() };
     let Some(extraction) = extraction else {
         return Ok(run_odometry(sequence, cameras, |done, all| show(Stage::Odometry, done, all))?);
     };

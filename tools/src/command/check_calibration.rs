@@ -46,7 +46,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     cut(&mut sequence, args.from, args.duration)?;
-    let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
+    let cameras = if args.mono { 1 } else { sequence.cameras.len() };
     let config = odometry_config(&sequence)?;
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
     let check = check_calibration(&mut sequence, cameras, &config, |done, all| {

@@ -177,7 +177,7 @@ fn keyframe_image(
         );
     };
     let camera_of = format!("the camera of keyframe {}", keyframe.id);
-    let image = sequence.frames[at].images[0].as_ref();
+    let image = sequence.frames[at].images.get(&0);
     image.map(|image| read_image(image, &keyframe.camera, &camera_of)).transpose()
 }
 

@@ -299,6 +299,8 @@ fn variants(args: &Args, simulation: &SimulationOptions) -> anyhow::Result<Vec<V
                 let (count, rig) = match cameras {
                     Cameras::Mono => (1, "mono"),
                     Cameras::Stereo => (2, "stereo"),
+                    // The simulated robot has two.
+                    Cameras::All => (2, "all"),
                 };
                 let mut config = config.clone();
                 config.mode = (*mode).into();

@@ -167,6 +167,6 @@ fn summary(path: PathBuf, sequence: &Sequence) -> Summary {
         imu_samples: sequence.imu_samples.len(),
         track_observations: sequence.frames.iter().map(|frame| frame.tracks.len()).sum(),
         images_with_features: sequence.frames.iter().filter(|frame| frame.features.is_some()).count(),
-        images: sequence.frames.iter().map(|frame| frame.images.iter().flatten().count()).sum(),
+        images: sequence.frames.iter().map(|frame| frame.images.len()).sum(),
     }
 }

@@ -8,7 +8,8 @@ use onboard::arguments::CalibrationArguments;
 use onboard::progress;
 use onboard::start::first_rest;
 use sensors::{
-    CalibrationFiles, FolderCalibration, Frame, ImuSample, Recording, Rows, Sequence, check_stereo, writer,
+    CalibrationFiles, FolderCalibration, Frame, ImuSample, Recording, Rows, Sequence, camera_groups,
+    check_stereo, writer,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -36,21 +37,19 @@ pub struct Args {
     /// Write a new recording to this folder [default: the tracks are written into REC]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Cameras to use, 1 or 2 [default: as many as the recording has]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
+    /// Number of cameras to use, the first ones [default: all that the recording has]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     cameras: Option<u8>,
-    /// Points to track in each image
+    /// Points to track in each image, of a stereo pair in that of its first camera
     #[arg(long, value_name = "N", default_value_t = TrackerOptions::default().points)]
     points: usize,
     /// Equalize the histogram first, for poor light
     #[arg(long, value_enum, default_value = "off")]
     equalize: Equalize,
-    /// Image that is black (zero) where camera 0 sees the robot itself
-    #[arg(long, value_name = "FILE")]
-    mask: Option<PathBuf>,
-    /// The same for camera 1
-    #[arg(long, value_name = "FILE")]
-    second_mask: Option<PathBuf>,
+    /// Image that is black (zero) where camera 0 sees the robot itself; of several cameras one each, separated by commas, in their
+    /// order
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
+    mask: Vec<PathBuf>,
     /// Do not use the gyroscope
     #[arg(long)]
     no_gyroscope: bool,
@@ -93,7 +92,7 @@ struct Summary {
     observations: usize,
     /// Mean over the frames.
     points_in_sight: f64,
-    /// Mean over the frames, of those in sight in camera 0.
+    /// Mean over the frames, of those in sight: how many are in both images of a stereo pair.
     stereo_share: f64,
     outliers: usize,
     /// Median length of a track, frames.
@@ -122,11 +121,11 @@ pub fn run(args: &Args) -> Result<()> {
     let root = args.out.as_deref().unwrap_or(&args.recording);
     let written: Vec<PathBuf> =
         (0..cameras).map(|camera| root.join(format!("mav0/cam{camera}/tracks.csv"))).collect();
-    refuse_to_overwrite(args, root)?;
-    check_stereo(&sequence.cameras[..cameras], sequence.frames.iter().cloned().map(Ok))?;
+    refuse_to_overwrite(args, root, sequence.cameras.len())?;
+    check_stereo(&sequence.cameras[..cameras], || Ok(sequence.frames.iter().cloned().map(Ok)))?;
     let options = tracker_options(args)?;
     let mut front_end =
-        FrontEnd::new(&sequence.cameras[..cameras], options).context("the tracker cannot start")?;
+        FrontEnd::new(&sequence.cameras[..cameras], &options).context("the tracker cannot start")?;
     let mut summary = track(args, &mut sequence, &recording, &mut front_end)?;
     summary.written = written;
     if summary.observations == 0 {
@@ -141,7 +140,7 @@ pub fn run(args: &Args) -> Result<()> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
-        print_summary(&summary, cameras);
+        print_summary(&summary);
     }
     Ok(())
 }
@@ -165,11 +164,12 @@ fn track(
     let bar = progress::frame_bar(sequence.frames.len());
     let begin = Instant::now();
     let mut summary = Summary::default();
+    let firsts: Vec<usize> = camera_groups(&sequence.cameras).iter().map(|group| group.first).collect();
     let mut lengths = std::collections::BTreeMap::<u64, usize>::new();
     for frame in &mut sequence.frames {
         bar.inc(1);
         frame.tracks.clear();
-        if frame.images[0].is_none() {
+        if frame.images.is_empty() {
             continue;
         }
         summary.frames += 1;
@@ -185,7 +185,7 @@ fn track(
         }
         summary.outliers += front_end.report().outliers;
         summary.observations += frame.tracks.len();
-        for track in frame.tracks.iter().filter(|track| track.camera == 0) {
+        for track in frame.tracks.iter().filter(|track| firsts.contains(&usize::from(track.camera))) {
             *lengths.entry(track.feature_id).or_default() += 1;
         }
     }
@@ -254,11 +254,11 @@ fn resting_start(recording: &Recording<'_>) -> Result<Option<nalgebra::Vector3<f
 
 fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {
     let there = sequence.cameras.len();
-    let wanted = args.cameras.map_or(there.min(2), usize::from);
+    let wanted = args.cameras.map_or(there, usize::from);
     if wanted > there {
-        bail!("{} has {there} camera; use --cameras {there}", args.recording.display());
+        bail!("{} has {there} cameras; use --cameras {there}", args.recording.display());
     }
-    let has_image = |frame: &Frame, camera: usize| frame.images[camera].is_some();
+    let has_image = |frame: &Frame, camera: usize| frame.images.contains_key(&camera);
     for camera in 0..wanted {
         if !sequence.frames.iter().any(|frame| has_image(frame, camera)) {
             bail!(
@@ -270,11 +270,11 @@ fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {
     Ok(wanted)
 }
 
-fn refuse_to_overwrite(args: &Args, root: &Path) -> Result<()> {
+fn refuse_to_overwrite(args: &Args, root: &Path, cameras: usize) -> Result<()> {
     if args.force {
         return Ok(());
     }
-    for camera in 0..2 {
+    for camera in 0..cameras {
         let path = root.join(format!("mav0/cam{camera}/tracks.csv"));
         if path.exists() {
             bail!("{} is there already: use --force to replace it, or --out DIR", path.display());
@@ -285,10 +285,8 @@ fn refuse_to_overwrite(args: &Args, root: &Path) -> Result<()> {
 
 fn tracker_options(args: &Args) -> Result<TrackerOptions> {
     let mut options = TrackerOptions::default().points(args.points).equalization(args.equalize.into());
-    for (camera, path) in [&args.mask, &args.second_mask].into_iter().enumerate() {
-        if let Some(path) = path {
-            options = options.mask(camera, GrayImage::read(path).context("the mask cannot be read")?);
-        }
+    for (camera, path) in args.mask.iter().enumerate() {
+        options = options.mask(camera, GrayImage::read(path).context("the mask cannot be read")?);
     }
     Ok(options)
 }
@@ -304,7 +302,7 @@ fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
     if args.out.is_some() {
         copy_without_images(&args.recording, root, cameras, &calibration.files)?;
     }
-    for camera in cameras..2 {
+    for camera in cameras..sequence.cameras.len() {
         // Tracks of an earlier run, with other names for the points.
         let stale = root.join(format!("mav0/cam{camera}/tracks.csv"));
         if stale.exists() {
@@ -341,7 +339,7 @@ fn copy_without_images(from: &Path, to: &Path, cameras: usize, kalibr: &Calibrat
     Ok(())
 }
 
-fn print_summary(summary: &Summary, cameras: usize) {
+fn print_summary(summary: &Summary) {
     println!(
         "{} images, {} left out, {:.1} ms each with reading; {:.0} points in sight, {} tracks of {} frames (median), \
          {} outliers",
@@ -353,8 +351,8 @@ fn print_summary(summary: &Summary, cameras: usize) {
         summary.track_length,
         summary.outliers
     );
-    if cameras > 1 {
-        println!("{:.0} % of them in both cameras", 100.0 * summary.stereo_share);
+    if summary.stereo_share > 0.0 {
+        println!("{:.0} % of them in both cameras of a pair", 100.0 * summary.stereo_share);
     }
     for path in &summary.written {
         println!("written to {}", path.display());

@@ -80,8 +80,8 @@ impl SensorTopics for NativeTopics<'_> {
             let message = TracksMessage { stamp_ns, tracks, features: frame.features.clone() };
             return self.put(&self.tracks, serde_json::to_vec(&message)?, None);
         }
-        for (image, publisher) in frame.images.iter().zip(&self.cameras) {
-            let Some(image) = image else { continue };
+        for (camera, image) in &frame.images {
+            let Some(publisher) = self.cameras.get(*camera) else { continue };
             let (header, bytes) = message_of(stamp_ns, image)?;
             self.put(publisher, bytes, Some(serde_json::to_vec(&header)?))?;
         }

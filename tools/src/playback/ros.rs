@@ -136,8 +136,8 @@ impl SensorTopics for RosTopics {
     }
 
     fn frame(&self, frame: &Frame) -> Result<()> {
-        for (index, (image, camera)) in frame.images.iter().zip(&self.cameras).enumerate() {
-            let Some(image) = image else { continue };
+        for (index, image) in &frame.images {
+            let Some(camera) = self.cameras.get(*index) else { continue };
             let header = Header::new(frame.stamp_ns, &format!("cam{index}"))
                 .with_context(|| not_a_time(frame.stamp_ns))?;
             self.runtime.block_on(camera.publish(image, header))?;

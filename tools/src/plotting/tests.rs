@@ -209,7 +209,6 @@ fn runs_are_compared_in_one_picture() {
 fn gaps_without_features_are_found_at_the_ends_too() {
     let frame = |index: i64| sensors::Frame {
         stamp_ns: index,
-        images: [None, None],
         tracks: Vec::new(),
         features: (index > 4 && index % 2 == 0 && index != 8).then(|| protocol::FeatureSet {
             pixels: Vec::new(),
@@ -220,6 +219,7 @@ fn gaps_without_features_are_found_at_the_ends_too() {
             },
             extractor: String::new(),
         }),
+        ..sensors::Frame::default()
     };
     let frames: Vec<_> = (0..20).map(frame).collect();
     assert_eq!(comparison::stretches_without_features(&frames, 2), [0..6, 6..10]);

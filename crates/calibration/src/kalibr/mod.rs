@@ -31,7 +31,7 @@ use geometry::pose::Pose;
 use serde::Deserialize;
 use std::path::Path;
 
-/// The cameras of a pair are exposed at the same time; a difference of their time shifts above this is reported, seconds.
+/// One time shift serves all cameras; a difference of theirs above this is reported, seconds.
 const MAX_SHIFT_DIFFERENCE_S: f64 = 1e-3;
 /// Time shifts beyond this are mistakes: other units, or recordings of different times, seconds.
 const MAX_SHIFT_S: f64 = 10.0;
@@ -50,12 +50,16 @@ struct ChainYaml {
     cam1: Option<CameraYaml>,
     cam2: Option<CameraYaml>,
     cam3: Option<CameraYaml>,
+    cam4: Option<CameraYaml>,
+    cam5: Option<CameraYaml>,
+    cam6: Option<CameraYaml>,
+    cam7: Option<CameraYaml>,
 }
 
 impl ChainYaml {
     fn cameras(&self) -> impl Iterator<Item = &CameraYaml> {
-        std::iter::once(&self.cam0)
-            .chain([&self.cam1, &self.cam2, &self.cam3].into_iter().map_while(Option::as_ref))
+        let others = [&self.cam1, &self.cam2, &self.cam3, &self.cam4, &self.cam5, &self.cam6, &self.cam7];
+        std::iter::once(&self.cam0).chain(others.into_iter().map_while(Option::as_ref))
     }
 }
 
@@ -143,7 +147,7 @@ struct ResultYaml {
 /// The cameras of a chain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraChain {
-    /// Projection and `imu_from_camera` of one or two cameras.
+    /// Projection and `imu_from_camera` of each camera.
     pub cameras: Vec<(Camera, Pose)>,
     /// Readout time of each of them, seconds: 0 where the file states none, which is a global shutter.
     pub readouts_s: Vec<f64>,
@@ -156,20 +160,25 @@ pub fn is_camera_chain(text: &str) -> bool {
     text.lines().any(|line| line.starts_with("cam0:"))
 }
 
-/// Number of cameras that a file states, 1 or 2; of Kimera's, with the file of the right camera beside it.
+/// Most cameras that a chain may state.
+const MAX_CAMERAS: usize = 8;
+
+/// Number of cameras that a file states, at most eight; of Kimera's, with the file of the right camera beside it.
 ///
 /// # Errors
 /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn camera_count(path: &Path) -> Result<usize, CalibrationError> {
     let text = read_text(path)?;
-    let is_stereo = if is_camera_chain(&text) {
-        text.lines().any(|line| line.starts_with("cam1:"))
+    Ok(if is_camera_chain(&text) {
+        let states = |camera: &usize| text.lines().any(|line| line.starts_with(&format!("cam{camera}:")));
+        (0..MAX_CAMERAS).take_while(states).count()
     } else if is_rig(&text) {
-        rigs::read(path, &text)?.cameras.len() > 1
+        rigs::read(path, &text)?.cameras.len()
+    } else if other_programs::is_kimera_left(&text) && other_programs::read_kimera_cameras(path, 2).is_ok() {
+        2
     } else {
-        other_programs::is_kimera_left(&text) && other_programs::read_kimera_cameras(path, 2).is_ok()
-    };
-    Ok(if is_stereo { 2 } else { 1 })
+        1
+    })
 }
 
 /// Whether a text is the calibration of an IMU; EuRoC's `sensor.yaml` has the same entries, and `T_BS` or a `sensor_type`.
@@ -184,7 +193,7 @@ pub fn is_imu(text: &str) -> bool {
 /// Reads a camera chain with the poses of the cameras on the IMU.
 ///
 /// # Arguments
-/// * `known`: for each of the one or two cameras of the recording, its projection as the recording itself states it; used
+/// * `known`: for each camera of the recording, its projection as the recording itself states it; used
 ///   where the file leaves `intrinsics` out.
 /// * `chosen`: which camera of the chain each of them is.
 ///
@@ -239,8 +248,9 @@ pub fn read_camera_chain(
             return Err(CalibrationError::entry(
                 path,
                 format!(
-                    "it has no cam{index}, but the recording has two cameras: calibrate both, or use one (move mav0/cam1 away; \
-                     of a bag, name it with --camera-topic)"
+                    "it has no cam{index}, but the recording has {} cameras: calibrate all, or use fewer (move mav0/cam{index} away; \
+                     of a bag, name them with --camera-topic)",
+                    chosen.len()
                 ),
             ));
         };
@@ -251,11 +261,10 @@ pub fn read_camera_chain(
         shifts.push(time_shift(path, index, camera)?);
     }
     let shift = shifts.first().copied().unwrap_or(0.0);
-    if let Some(difference) = shifts.get(1).map(|second| second - shift)
-        && difference.abs() > MAX_SHIFT_DIFFERENCE_S
-    {
+    let difference = shifts.iter().map(|other| (other - shift).abs()).fold(0.0, f64::max);
+    if difference > MAX_SHIFT_DIFFERENCE_S {
         tracing::warn!(
-            "{}: the timeshift_cam_imu of the two cameras differ by {:.1} ms; that of camera 0 is used for both",
+            "{}: the timeshift_cam_imu of the cameras differ by {:.1} ms; that of camera 0 is used for all",
             path.display(),
             difference * 1e3
         );
@@ -266,9 +275,15 @@ pub fn read_camera_chain(
 /// The cameras of a rig that a recording has.
 fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<CameraChain, CalibrationError> {
     let camera = |index: &usize| {
-        let problem = "it is the calibration of one camera, but the recording has two: calibrate both, or use one (of a bag, name it with \
-                       --camera-topic)";
-        rig.cameras.get(*index).cloned().ok_or_else(|| CalibrationError::entry(path, problem))
+        let problem = || {
+            format!(
+                "it is the calibration of {} cameras, but the recording has {}: calibrate all, or use fewer (of a bag, name them with \
+                 --camera-topic)",
+                rig.cameras.len(),
+                chosen.len()
+            )
+        };
+        rig.cameras.get(*index).cloned().ok_or_else(|| CalibrationError::entry(path, problem()))
     };
     let cameras = chosen.iter().map(camera).collect::<Result<Vec<_>, _>>()?;
     let readouts_s = vec![0.0; cameras.len()];
@@ -288,8 +303,7 @@ pub fn states_intrinsics(path: &Path) -> Result<bool, CalibrationError> {
         return Ok(true);
     }
     let chain: ChainYaml = parse(path, CHAIN, &text)?;
-    let mut cameras = chain.cameras().take(2);
-    Ok(cameras.all(|camera| !camera.intrinsics.is_empty()))
+    Ok(chain.cameras().all(|camera| !camera.intrinsics.is_empty()))
 }
 
 /// The projection of the first camera of a chain or a rig.

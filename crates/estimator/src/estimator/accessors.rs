@@ -4,12 +4,13 @@ use super::Estimator;
 use crate::KeyframeId;
 use crate::calibration::{CalibratedCamera, Calibration, row_reach_ns};
 use crate::config::EstimatorConfig;
+use crate::map_update::map_answer::MapAnswer;
 use crate::motion::{Motion, MotionPredictor};
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuMatrix};
 use crate::state::{Block, CloneId, rotation_adjoint};
 use crate::wheels::report::Estimated;
-use geometry::{Pose, PoseWithCovariance};
+use geometry::PoseWithCovariance;
 use nalgebra::{DMatrix, Matrix6, Vector3};
 use types::ImuNoise;
 
@@ -154,9 +155,9 @@ impl Estimator {
         ))
     }
 
-    /// Pose of the first camera in G at a clone, the prior of a map query; `None` for a marginalized clone and before the
-    /// map initialization.
-    pub fn global_from_camera(&self, clone: CloneId) -> Option<PoseWithCovariance> {
+    /// Pose of a camera in G at a clone, the prior of a map query; `None` for a marginalized clone, before the map
+    /// initialization, and for a camera that there is not.
+    pub fn global_from_camera(&self, clone: CloneId, camera: usize) -> Option<PoseWithCovariance> {
         let transform = self.filtered_global_from_local()?;
         let index = self.state.clone_index(clone)?;
         let (pose, block) = (self.state.clones[index].local_from_imu, Block::Clone(index));
@@ -165,22 +166,24 @@ impl Estimator {
             &(rotation_adjoint(&transform.pose) * self.block(&Block::Transform, &block)),
         );
         let exact =
-            PoseWithCovariance { pose: self.first_camera().imu_from_camera, covariance: Matrix6::zeros() };
+            PoseWithCovariance { pose: self.camera(camera)?.imu_from_camera, covariance: Matrix6::zeros() };
         Some(global_from_imu.compose(&exact))
     }
 
-    /// Pose of the first camera in L at a clone; `None` for a marginalized clone.
-    pub fn local_from_camera(&self, clone: CloneId) -> Option<PoseWithCovariance> {
+    /// Pose of a camera in L at a clone; `None` for a marginalized clone, and for a camera that there is not.
+    pub fn local_from_camera(&self, clone: CloneId, camera: usize) -> Option<PoseWithCovariance> {
         let index = self.state.clone_index(clone)?;
         let (pose, block) = (self.state.clones[index].local_from_imu, Block::Clone(index));
         let local_from_imu = PoseWithCovariance { pose, covariance: self.block(&block, &block) };
-        Some(local_from_imu.change_of_child(&self.first_camera().imu_from_camera))
+        Some(local_from_imu.change_of_child(&self.camera(camera)?.imu_from_camera))
     }
 
-    /// Unit vector along gravity in the frame of the first camera at a clone; `None` for a marginalized clone.
-    pub fn gravity_in_first_camera(&self, clone: CloneId) -> Option<Vector3<f64>> {
+    /// Unit vector along gravity in the frame of a camera at a clone; `None` for a marginalized clone, and for a camera that
+    /// there is not.
+    pub fn gravity_in_camera(&self, clone: CloneId, camera: usize) -> Option<Vector3<f64>> {
         let local_from_imu = self.state.clones[self.state.clone_index(clone)?].local_from_imu;
-        Some(self.gravity_in_camera(&local_from_imu))
+        let local_from_camera = local_from_imu.rotation * self.camera(camera)?.imu_from_camera.rotation;
+        Some(local_from_camera.inverse() * -Vector3::z())
     }
 
     /// Noise levels as learned up to now; see [`noise_adaptation`](crate::noise_adaptation).
@@ -219,13 +222,13 @@ impl Estimator {
         self.map_version.identity()
     }
 
-    pub(super) fn first_camera(&self) -> &CalibratedCamera {
-        &self.state.calibration.cameras[0]
+    pub(super) fn camera(&self, camera: usize) -> Option<&CalibratedCamera> {
+        self.state.calibration.cameras.get(camera)
     }
 
-    pub(super) fn gravity_in_camera(&self, local_from_imu: &Pose) -> Vector3<f64> {
-        let local_from_camera = local_from_imu.rotation * self.first_camera().imu_from_camera.rotation;
-        local_from_camera.inverse() * -Vector3::z()
+    /// The camera whose image an answer was matched with, which was checked to be there.
+    pub(super) fn camera_of(&self, answer: &MapAnswer) -> &CalibratedCamera {
+        &self.state.calibration.cameras[answer.camera]
     }
 
     fn block(&self, row: &Block, column: &Block) -> Matrix6<f64> {

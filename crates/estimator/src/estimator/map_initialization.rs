@@ -59,7 +59,7 @@ impl Estimator {
     /// Whether an answer may initialize `global_from_local`: its hypothesis has enough evidence.
     ///
     /// # Arguments
-    /// * `measured`: the first camera in G according to the answer, noise of its matches included.
+    /// * `measured`: the camera of the answer in G according to the answer, noise of its matches included.
     ///
     /// # Errors
     /// [`Rejection::NotDistinctive`]: it waits for more.
@@ -71,7 +71,7 @@ impl Estimator {
         measured: &PoseWithCovariance,
         report: &mut MapReport,
     ) -> Result<(), Rejection> {
-        let global_from_imu = measured.change_of_child(&self.first_camera().imu_from_camera.inverse());
+        let global_from_imu = measured.change_of_child(&self.camera_of(answer).imu_from_camera.inverse());
         let fix = Fix {
             pose: FixedPose::new(&global_from_imu, local_from_imu),
             seen: self.seen_place(answer, verified),
@@ -87,7 +87,7 @@ impl Estimator {
         }
     }
 
-    /// The PnP pose of the first camera in the best keyframe, with its covariance.
+    /// The PnP pose of the camera of an answer in the best keyframe, with its covariance.
     fn solved_pose(&self, answer: &MapAnswer, verified: &VerifiedAnswer) -> PoseWithCovariance {
         let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
         let shift = self.config.sigma_map_shift_fraction * median_depth(answer, verified);
@@ -95,7 +95,7 @@ impl Estimator {
         PoseWithCovariance { covariance, ..verified.best_from_camera }
     }
 
-    /// The pose of the first camera in G by an answer, with the errors of the keyframe and of PnP.
+    /// The pose of the camera of an answer in G by it, with the errors of the keyframe and of PnP.
     ///
     /// # Arguments
     /// * `measured`: the same with the error of the keyframe only.
@@ -129,7 +129,7 @@ impl Estimator {
             index.map(|index| columns.active_len() + POSE_DIM * index),
             &global_from_keyframe,
             &solved,
-            &self.first_camera().imu_from_camera,
+            &self.camera_of(answer).imu_from_camera,
             point,
         );
         if let Some((jacobian, residual)) = rows {

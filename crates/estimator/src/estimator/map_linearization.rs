@@ -64,7 +64,7 @@ impl Estimator {
         let slots = keyframes.iter().filter_map(|id| self.covariance.held.slot_of(*id)).collect();
         let pose = self.state.clone_index(clone).map_or(Block::ImuPose, Block::Clone);
         let poses = [pose, Block::Transform].into_iter().filter_map(|block| self.state.range(block));
-        let camera = self.state.calibration.camera_range(0);
+        let camera = self.state.calibration.camera_range(answer.camera);
         let camera = IMU_DIM + camera.start..IMU_DIM + camera.end;
         let active = poses.chain(std::iter::once(camera).filter(|range| !range.is_empty())).collect();
         StateBlocks { active, keyframes: slots }
@@ -155,7 +155,7 @@ impl Estimator {
         verified: &VerifiedAnswer,
         point: &LinearizationPoint,
     ) -> Option<f64> {
-        let calibrated = self.first_camera();
+        let calibrated = self.camera_of(answer);
         let global_from_camera = point.global_from_local * point.local_from_imu * calibrated.imu_from_camera;
         let mut sum = 0.0;
         for &k in &verified.inliers {

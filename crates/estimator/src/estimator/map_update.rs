@@ -62,6 +62,7 @@ impl Estimator {
     /// let answer = MapAnswer {
     ///     map_version: 1,
     ///     map_identity: 1,
+    ///     camera: 0,
     ///     keyframes: vec![MapKeyframe {
     ///         id: 7,
     ///         global_from_keyframe: PoseWithCovariance::new(global_from_keyframe, Matrix6::identity() * 1e-4),
@@ -96,7 +97,6 @@ impl Estimator {
         let common_dim = held.and_then(HeldKeyframes::common_dim);
         let answer =
             restricted.without_invalid(&|id| held.and_then(|held| held.map_covariance(id)), common_dim);
-        let answer = self.seen_from_the_image(clone, answer);
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),
@@ -111,6 +111,11 @@ impl Estimator {
             nis: None,
             rejection: None,
         };
+        if self.camera(answer.camera).is_none() {
+            let rejection = Some(Rejection::NoCamera { camera: answer.camera });
+            return Ok(MapReport { rejection, ..report });
+        }
+        let answer = self.seen_from_the_image(clone, answer);
         let before =
             self.filtered_global_from_imu().or_else(|| self.map_watch.predict(&self.local_from_imu()));
         report.rejection = self.update_in_version(clone, &answer, &mut report)?.err();
@@ -191,13 +196,13 @@ impl Estimator {
         let settings = VerificationSettings {
             angle: self.config.verify_angle_rad,
             min_inliers: self.config.min_inliers,
-            gravity_in_camera: Some(self.gravity_in_camera(&local_from_imu)),
+            gravity_in_camera: self.gravity_in_camera(clone, answer.camera),
         };
-        let verified = verify(answer, self.first_camera(), &settings).or_else(|rejection| {
+        let verified = verify(answer, self.camera_of(answer), &settings).or_else(|rejection| {
             // A wrong direction of gravity in the map must not hide itself.
             let unguided = VerificationSettings { gravity_in_camera: None, ..settings };
             let may_be_wrong = self.state.transform.is_none() && answer.gravity_in_global.is_some();
-            if may_be_wrong { verify(answer, self.first_camera(), &unguided) } else { Err(rejection) }
+            if may_be_wrong { verify(answer, self.camera_of(answer), &unguided) } else { Err(rejection) }
         });
         let verified = match verified {
             Ok(verified) => verified,
@@ -208,7 +213,7 @@ impl Estimator {
         let Some(best) = answer.keyframe(verified.best) else { return Ok(Err(Rejection::TooLate)) };
         let global_from_imu = self.pose_of(best.id, answer).unwrap_or(best.global_from_keyframe.pose)
             * verified.best_from_camera.pose
-            * self.first_camera().imu_from_camera.inverse();
+            * self.camera_of(answer).imu_from_camera.inverse();
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
@@ -271,7 +276,7 @@ impl Estimator {
     /// Gauss-Newton iterations on the map measurements, and the update at the last linearization point.
     ///
     /// # Arguments
-    /// * `measured`: the first camera in G at `clone` according to the answer.
+    /// * `measured`: the camera of the answer in G at `clone` according to the answer.
     fn iterate(
         &mut self,
         clone: CloneId,
@@ -301,7 +306,7 @@ impl Estimator {
             let LinearizedMapUpdate { information, used, plausible } = linearized;
             (report.used, report.plausible) = (used, plausible);
             let agrees = exact || 2 * plausible >= inliers;
-            let passes = iteration > 1 || self.passes_outlier_test(agrees, clone, measured);
+            let passes = iteration > 1 || self.passes_outlier_test(agrees, (clone, answer.camera), measured);
             let need = self.config.min_inliers.div_ceil(2);
             if used < need {
                 return Ok(Err(self.revert_pull(&new, Rejection::FewLandmarks { used, inliers, need })));

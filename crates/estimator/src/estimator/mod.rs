@@ -33,6 +33,7 @@ use crate::map_update::place_evidence::PlaceEvidence;
 use crate::motion::AngularRate;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
+use crate::odometry::slam_update;
 use crate::odometry::tracks::TrackStore;
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
 use crate::state::ActiveState;
@@ -111,6 +112,8 @@ pub struct Estimator {
     covariance: JointCovariance,
     tracks: TrackStore,
     msckf_settings: MsckfSettings,
+    /// Noise of the direction in which the cameras are mounted, rad.
+    sigma_mount_rad: f64,
     odometry_update: OdometryUpdate,
     /// Reused memory of the last correction.
     correction: DVector<f64>,
@@ -149,7 +152,7 @@ impl Estimator {
     /// A filter that starts from `initial`, with `global_from_local` unknown.
     ///
     /// # Arguments
-    /// * `cameras`: by [`TrackObservation::camera`](crate::TrackObservation::camera); the first one is matched with the map.
+    /// * `cameras`: by [`TrackObservation::camera`](crate::TrackObservation::camera); an answer of the map names the one that it is to.
     /// * `initial`: state and 15x15 covariance at the first image, see [`InitialState`] and
     ///   [`Initializer`](crate::Initializer).
     ///
@@ -192,6 +195,7 @@ impl Estimator {
                 learns_noise: config.adaptive_noise.tracks,
                 max_tracks: config.max_tracks,
             },
+            sigma_mount_rad: slam_update::sigma_mount_rad(&state.calibration),
             landmark_gate: Gate::new(config.landmark_gate),
             contradiction_gate: Gate::new(CONTRADICTION_CONFIDENCE),
             frame_gate: Gate::new(config.frame_gate),

@@ -23,14 +23,16 @@ impl Estimator {
     ///
     /// # Arguments
     /// * `agrees`: at least half of the landmarks agree with the state.
-    /// * `measured`: the first camera in G at `clone` according to the answer, with the covariance of the keyframe.
+    /// * `clone`, `camera`: of the image.
+    /// * `measured`: the camera in G at `clone` according to the answer, with the covariance of the keyframe.
     pub(super) fn passes_outlier_test(
         &mut self,
         agrees: bool,
-        clone: CloneId,
+        (clone, camera): (CloneId, usize),
         measured: &PoseWithCovariance,
     ) -> bool {
-        let (Some(index), Some(state)) = (self.state.clone_index(clone), self.global_from_camera(clone))
+        let (Some(index), Some(state), Some(calibrated)) =
+            (self.state.clone_index(clone), self.global_from_camera(clone, camera), self.camera(camera))
         else {
             return true;
         };
@@ -41,7 +43,7 @@ impl Estimator {
             self.contradiction = None;
             return true;
         }
-        let local_from_camera = self.state.clones[index].local_from_imu * self.first_camera().imu_from_camera;
+        let local_from_camera = self.state.clones[index].local_from_imu * calibrated.imu_from_camera;
         let before = self.contradiction.replace(measured.pose * local_from_camera.inverse());
         let confirmed = before.is_some_and(|before| {
             let distances = |other: &Pose| {

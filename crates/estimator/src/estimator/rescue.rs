@@ -55,13 +55,13 @@ impl Estimator {
         if verified.inliers.len() < MIN_INLIERS {
             return;
         }
-        let Some(predicted) = self.global_from_camera(clone) else { return };
+        let Some(predicted) = self.global_from_camera(clone, answer.camera) else { return };
         let together = PoseWithCovariance::new(predicted.pose, predicted.covariance + measured.covariance);
         let clone = &self.state.clones[index];
         let (sigma_rotation, sigma_position) = worst_sigmas(&measured.covariance);
         self.newest_fix = Some(MapFix {
             stamp_ns: clone.stamp_ns,
-            global_from_imu: measured.pose * self.first_camera().imu_from_camera.inverse(),
+            global_from_imu: measured.pose * self.camera_of(answer).imu_from_camera.inverse(),
             predicted: transform * clone.local_from_imu,
             local_from_imu: clone.local_from_imu,
             keyframe: verified.best,

@@ -6,6 +6,7 @@
 //! the IMU; what is left of that is within the noise of a match.
 
 use super::Estimator;
+use crate::calibration::CalibratedCamera;
 use crate::map_update::map_answer::{MapAnswer, MatchedLandmark};
 use crate::rolling_shutter::row_pose::{Estimates, RowPose};
 use crate::state::CloneId;
@@ -13,37 +14,37 @@ use geometry::Pose;
 use nalgebra::Vector2;
 
 impl Estimator {
-    /// The pixel at which the first camera would have seen the same direction, had it not turned while its rolling shutter read the image out:
+    /// The pixel at which a camera would have seen the same direction, had it not turned while its rolling shutter read the image out:
     /// what a query to the map is made with. With a global shutter, and for a marginalized clone, the pixel itself.
     ///
     /// # Arguments
-    /// * `clone`: of the image.
+    /// * `clone`, `camera`: of the image.
     /// * `pixel`: as the camera sees it (distorted).
-    pub fn still_pixel(&self, clone: CloneId, pixel: &Vector2<f64>) -> Vector2<f64> {
-        let Some(image_from_row) = self.image_from_row(clone, pixel) else { return *pixel };
-        let camera = &self.first_camera().camera;
+    pub fn still_pixel(&self, clone: CloneId, camera: usize, pixel: &Vector2<f64>) -> Vector2<f64> {
+        let Some(image_from_row) = self.image_from_row(clone, camera, pixel) else { return *pixel };
+        let Some(CalibratedCamera { camera, .. }) = self.camera(camera) else { return *pixel };
         let Ok(seen) = camera.bearing(pixel) else { return *pixel };
         camera.project(&(image_from_row.rotation * seen.into_inner())).unwrap_or(*pixel)
     }
 
-    /// The first camera when it took a pixel, in its own frame at the time of the image; `None` where that is the same.
-    fn image_from_row(&self, clone: CloneId, pixel: &Vector2<f64>) -> Option<Pose> {
+    /// A camera when it took a pixel, in its own frame at the time of the image; `None` where that is the same.
+    fn image_from_row(&self, clone: CloneId, camera: usize, pixel: &Vector2<f64>) -> Option<Pose> {
         let index = self.state.clone_index(clone)?;
-        let row = RowPose::of(&self.state, index, 0, pixel, Estimates::Newest);
+        let row = RowPose::of(&self.state, index, camera, pixel, Estimates::Newest);
         row.dependence?;
-        let imu_from_camera = self.first_camera().imu_from_camera;
+        let imu_from_camera = self.camera(camera)?.imu_from_camera;
         let local_from_camera = self.state.clones[index].local_from_imu * imu_from_camera;
         Some(local_from_camera.inverse() * row.local_from_imu * imu_from_camera)
     }
 
-    /// An answer whose pixels are those that the first camera would have seen from its pose at the time of the image.
+    /// An answer whose pixels are those that its camera would have seen from its pose at the time of the image.
     pub(super) fn seen_from_the_image(&self, clone: CloneId, mut answer: MapAnswer) -> MapAnswer {
         if !self.has_rolling_shutter() {
             return answer;
         }
         let global_from_camera = self.state.clone_index(clone).and_then(|index| {
             let local_from_camera =
-                self.state.clones[index].local_from_imu * self.first_camera().imu_from_camera;
+                self.state.clones[index].local_from_imu * self.camera_of(&answer).imu_from_camera;
             Some(self.state.transform? * local_from_camera)
         });
         let mut landmarks = std::mem::take(&mut answer.landmarks);
@@ -66,14 +67,14 @@ impl Estimator {
         global_from_camera: Option<&Pose>,
     ) -> Option<Vector2<f64>> {
         // The row of a pixel that was corrected for the turn differs from that in which it was taken by the correction, some rows.
-        let camera_at_row = self.image_from_row(clone, &landmark.pixel)?.translation;
+        let camera_at_row = self.image_from_row(clone, answer.camera, &landmark.pixel)?.translation;
         let away = match (global_from_camera, self.pose_of(landmark.anchor, answer)) {
             (Some(pose), Some(anchor)) => {
                 pose.inverse_transform(&anchor.transform(&landmark.position_in_anchor))
             }
             _ => landmark.position_in_anchor,
         };
-        let camera = &self.first_camera().camera;
+        let camera = &self.camera_of(answer).camera;
         let direction = camera.bearing(&landmark.pixel).ok()?.into_inner();
         camera.project(&(direction * away.norm() + camera_at_row)).ok()
     }
@@ -118,7 +119,7 @@ mod tests {
             }
             assert!((pixel - global).norm() > 1.5);
             landmarks.push(MatchedLandmark {
-                pixel: estimator.still_pixel(id, &pixel),
+                pixel: estimator.still_pixel(id, 0, &pixel),
                 anchor: 1,
                 position_in_anchor: landmark,
                 observations: Vec::new(),
@@ -135,6 +136,7 @@ mod tests {
         let answer = MapAnswer {
             map_version: 1,
             map_identity: 1,
+            camera: 0,
             keyframes: vec![keyframe],
             held_at_query: Vec::new(),
             landmarks,

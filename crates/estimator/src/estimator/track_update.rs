@@ -7,7 +7,7 @@ use crate::measurement::LinearizedMeasurement;
 use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
 use crate::odometry::slam_update::{self, SlamUpdate, SlamUpdateSettings};
-use crate::odometry::tracks::Track;
+use crate::odometry::tracks::{ShownCameras, Track};
 use crate::odometry::zero_velocity;
 use crate::state::{ActiveState, CloneId, FEATURE_DIM, SlamFeature};
 use nalgebra::{DMatrix, Vector3};
@@ -33,8 +33,9 @@ impl Estimator {
     /// marginalized.
     ///
     /// # Arguments
-    /// * `observations`: all features of the image, in any order; pixels as the camera sees them (distorted). A feature
-    ///   that is missing in an image has ended its track.
+    /// * `observations`: all features of the images of the frame, in any order; pixels as the camera sees them (distorted). A feature
+    ///   that is missing in a frame has ended its track, if the frame has others of the camera that first saw it: cameras need not
+    ///   be triggered together.
     ///
     /// # Errors
     /// [`EstimatorError::Diverged`]: the filter must be initialized again.
@@ -113,7 +114,7 @@ impl Estimator {
         let is_slam_feature = |id: u64| features.iter().any(|feature| feature.feature_id == id);
         self.tracks.add(newest, observations, is_slam_feature);
         self.msckf_settings.stationary = self.zero_velocity_update(&mut update.zero_velocity)?;
-        self.tracks.take_ended(newest, &mut update.finished);
+        self.tracks.take_ended(newest, &ShownCameras::of(observations), &mut update.finished);
         for index in clones_beyond_window(&self.state, self.config.window) {
             self.tracks.take_starting_at(self.state.clones[index].id, &mut update.finished);
         }
@@ -126,6 +127,7 @@ impl Estimator {
         let mut report = self.msckf_update(update, in_state)?;
         let settings = SlamUpdateSettings {
             sigma_px: self.msckf_settings.sigma_px.hypot(slam_update::COMMON_ERROR_PX),
+            sigma_mount_rad: self.sigma_mount_rad,
             first_estimates: self.config.first_estimates,
             gate: &self.msckf_settings.gate,
         };
@@ -164,6 +166,8 @@ impl Estimator {
                 position: feature.position + shift + moved,
                 first_estimate: feature.position,
                 gated_in_a_row: 0,
+                camera: feature.camera,
+                last_seen: feature.last_seen,
             });
         }
     }

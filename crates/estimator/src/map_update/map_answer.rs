@@ -51,6 +51,8 @@ pub struct MapAnswer {
     pub map_version: u64,
     /// Identity of the map: the same for all its versions, different for different maps.
     pub map_identity: u128,
+    /// The camera whose image was matched, by [`TrackObservation::camera`](crate::TrackObservation::camera).
+    pub camera: usize,
     /// Best first.
     pub keyframes: Vec<MapKeyframe>,
     /// Keyframes held by the filter at the time of the query. The answer states how all others are correlated with them, and

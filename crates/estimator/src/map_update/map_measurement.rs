@@ -57,12 +57,12 @@ pub struct MapMeasurementSettings {
     pub map_is_exact: bool,
 }
 
-/// First columns of the state blocks: clone, transform, first camera (as far as estimated), keyframes in the given order.
+/// First columns of the state blocks: clone, transform, camera of the answer (as far as estimated), keyframes in the given order.
 const CLONE: usize = 0;
 const TRANSFORM: usize = POSE_DIM;
 const CAMERA: usize = 2 * POSE_DIM;
 
-/// Whitened rows of one landmark over `[clone, transform, first camera, keyframes...]`, landmark eliminated.
+/// Whitened rows of one landmark over `[clone, transform, camera of the answer, keyframes...]`, landmark eliminated.
 ///
 /// # Arguments
 /// * `keyframes`: the keyframes with columns. Observations in others are not used.
@@ -83,7 +83,7 @@ pub fn linearize_landmark(
     let position = &landmark.position_in_anchor;
     let in_global = anchor_pose.transform(position);
     let (wrt_anchor_pose, wrt_position) = anchor_pose.transform_jacobians(position);
-    let camera_dim = calibration.camera_range(0).len();
+    let camera_dim = calibration.camera_range(answer.camera).len();
     let first_keyframe = CAMERA + camera_dim;
     let column_of =
         |id: KeyframeId| Some(first_keyframe + POSE_DIM * keyframes.iter().position(|held| *held == id)?);
@@ -102,8 +102,10 @@ pub fn linearize_landmark(
     // Current image.
     let in_local = point.at.global_from_local.inverse_transform(&in_global);
     let (wrt_transform, wrt_global) = point.at.global_from_local.inverse_transform_jacobians(&in_global);
-    let projection =
-        calibration.cameras.first()?.predict_with_jacobians(&point.at.local_from_imu, &in_local)?;
+    let projection = calibration
+        .cameras
+        .get(answer.camera)?
+        .predict_with_jacobians(&point.at.local_from_imu, &in_local)?;
     let (pixel, wrt_local) = (projection.pixel, projection.wrt_landmark);
     let [clone_step, transform_step] = point.at.minus(&point.estimate);
     let mut wrt_clone = projection.wrt_body;
@@ -120,7 +122,7 @@ pub fn linearize_landmark(
     jacobian.fixed_view_mut::<2, 6>(0, CLONE).copy_from(&(wrt_clone * whiten));
     jacobian.fixed_view_mut::<2, 6>(0, TRANSFORM).copy_from(&(wrt_transform * whiten));
     if camera_dim > 0 {
-        let wrt_camera = calibration.camera_jacobian(0, &projection) * whiten;
+        let wrt_camera = calibration.camera_jacobian(answer.camera, &projection) * whiten;
         jacobian.view_mut((0, CAMERA), (2, camera_dim)).copy_from(&wrt_camera.columns(0, camera_dim));
     }
     let transferred = landmark.pixel - pixel + wrt_clone * clone_step + wrt_transform * transform_step;

@@ -11,6 +11,12 @@ pub enum Rejection {
     /// The clone of its image was marginalized: the answer came after its deadline.
     #[error("the answer came too late: the clone of its image was marginalized")]
     TooLate,
+    /// It is to an image of a camera that there is not.
+    #[error("it is to an image of camera {camera}, which the estimator does not have")]
+    NoCamera {
+        /// The camera.
+        camera: usize,
+    },
     /// It is of another map than the one in use, whatever its version.
     #[error(
         "it is of the map {answered:032x}, the map {held:032x} is in use: another map is served under this name; restart the \

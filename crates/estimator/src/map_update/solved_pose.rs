@@ -50,7 +50,7 @@ pub(crate) fn solved_covariance(of_pixels: &Matrix6<f64>, sigma_px: f64, shift: 
 /// # Arguments
 /// * `columns`: number of columns.
 /// * `keyframe`: first of the keyframe's six columns; `None` where the map is exact.
-/// * `solved`: pose of the first camera in the keyframe.
+/// * `solved`: pose of the camera in the keyframe.
 ///
 /// # Returns
 /// `None` where the covariance is not positive definite.

@@ -17,7 +17,7 @@ use crate::odometry::feature_measurement::FeatureMeasurement;
 use crate::odometry::pixel_measurement::{Layout, linearize_pixel};
 use crate::odometry::tracks::{CloneObservation, Track};
 use crate::rolling_shutter::row_pose::{Estimates, RowPose};
-use crate::state::{ActiveState, Block};
+use crate::state::{ActiveState, Block, CloneId};
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
 use geometry::{Camera, Pose, Triangulated};
 use nalgebra::{DVector, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
@@ -92,6 +92,10 @@ pub struct NewFeature {
     pub feature_id: u64,
     /// Linearization point in L, metres.
     pub position: Vector3<f64>,
+    /// The camera that it was first seen by.
+    pub camera: u8,
+    /// The last clone that observed it.
+    pub last_seen: CloneId,
 }
 
 /// The linearized update, with reused memory.
@@ -179,10 +183,13 @@ impl MsckfUpdate {
             }
             report.used += 1;
             if let Some(found) = triangulated.filter(|found| has_accurate_depth(found, state, &observations))
+                && let (Some(first), Some(last)) = (track.observations.first(), track.observations.last())
                 && accept_slam_feature(track)
                 && self.feature.initialize(&mut self.initialization, state, &layout).is_ok()
             {
-                self.new_features.push(NewFeature { feature_id: track.feature_id, position: found.position });
+                let (feature_id, position) = (track.feature_id, found.position);
+                let (camera, last_seen) = (first.camera, last.clone);
+                self.new_features.push(NewFeature { feature_id, position, camera, last_seen });
             }
         }
         self.observations = observations;

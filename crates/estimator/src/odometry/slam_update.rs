@@ -4,6 +4,7 @@
 //! keeps it. It stays as long as it is tracked. Pixels that fail the chi-square gate are not used, and a feature that fails
 //! it several times in a row is marginalized.
 
+use crate::calibration::Calibration;
 use crate::covariance::JointCovariance;
 use crate::gate::Gate;
 use crate::linear_algebra::NotPositiveDefinite;
@@ -12,7 +13,9 @@ use crate::measurement::LinearizedMeasurement;
 use crate::odometry::pixel_measurement::{
     JacobianBlock, JacobianBlocks, Layout, PixelMeasurement, covariance_between, linearize_pixel,
 };
+use crate::odometry::tracks::ShownCameras;
 use crate::state::{ActiveState, Block, CloneId, FEATURE_DIM, POSE_DIM, SlamFeature};
+use geometry::camera_groups;
 use nalgebra::{DVector, SMatrix, SVector};
 use smallvec::SmallVec;
 use std::ops::Range;
@@ -27,6 +30,9 @@ const MAX_SHIFT: f64 = 0.2;
 /// noise is in all of them, and which fits less and less as the view changes. The pixels of a track in the window are few enough
 /// to be taken for independent; a feature that is seen in a hundred images would be known ten times as well as it is.
 pub const COMMON_ERROR_PX: f64 = 0.5;
+/// Standard deviation of the direction of a camera on the IMU, rad, of a rig whose cameras do not see the same: 0.11 degrees, as
+/// calibrations of such rigs state it.
+const SIGMA_MOUNT_RAD: f64 = 2e-3;
 /// Maximum number of cameras whose pixels of one feature are gated together.
 const MAX_CAMERAS: usize = 2;
 
@@ -101,7 +107,9 @@ impl SlamUpdate {
         let own = observations.iter().filter(|observation| observation.feature_id == feature.feature_id);
         self.pixels.extend(own.take(MAX_CAMERAS).filter_map(|observation| {
             let observed = (newest, usize::from(observation.camera), observation.pixel);
-            linearize_pixel(state, observed, &feature.position, first, settings.sigma_px)
+            let camera = &state.calibration.cameras.get(observed.1)?.camera;
+            let sigma_px = settings.sigma_px.hypot(settings.sigma_mount_rad * camera.focal[0]);
+            linearize_pixel(state, observed, &feature.position, first, sigma_px)
         }));
     }
 
@@ -139,20 +147,29 @@ impl SlamUpdate {
         }
     }
 
-    /// Marginalizes the features that the newest image does not observe, that the gate rejected too often, or that an
-    /// image moved too far.
+    /// Marginalizes the features that the newest frame does not observe although it shows their camera, that no clone of the
+    /// window has observed, that the gate rejected too often, or that an image moved too far.
     pub fn marginalize_lost(
         &mut self,
         state: &mut ActiveState,
         covariance: &mut JointCovariance,
         observations: &[TrackObservation],
     ) {
-        let Some(newest) = state.clones.last().map(|clone| clone.local_from_imu.translation) else { return };
+        let (Some(oldest), Some(newest)) = (state.clones.first(), state.clones.last()) else { return };
+        let (oldest, (newest, position)) = (oldest.id, (newest.id, newest.local_from_imu.translation));
+        let shown = ShownCameras::of(observations);
+        for feature in &mut state.slam_features {
+            if observations.iter().any(|observation| observation.feature_id == feature.feature_id) {
+                feature.last_seen = newest;
+            }
+        }
         let is_kept = |feature: &SlamFeature| {
             let shift = (feature.position - feature.first_estimate).norm();
+            let is_tracked = feature.last_seen == newest
+                || (feature.last_seen >= oldest && !shown.contains(feature.camera));
             feature.gated_in_a_row < MAX_GATED_IN_A_ROW
-                && shift < MAX_SHIFT * (feature.position - newest).norm()
-                && observations.iter().any(|observation| observation.feature_id == feature.feature_id)
+                && shift < MAX_SHIFT * (feature.position - position).norm()
+                && is_tracked
         };
         self.kept.clear();
         self.kept
@@ -170,11 +187,22 @@ impl SlamUpdate {
     }
 }
 
+/// How well it is known in which direction a camera is mounted, rad, where cameras do not see the same: what their tracks show of a
+/// motion disagrees by as much, image after image, and does not average out over the many images of a SLAM feature. 0 where one
+/// camera or stereo pair is the only one, and where the mounting is estimated.
+pub fn sigma_mount_rad(calibration: &Calibration) -> f64 {
+    let cameras =
+        calibration.cameras.iter().map(|calibrated| (&calibrated.camera, &calibrated.imu_from_camera));
+    if calibration.estimates_extrinsics() || camera_groups(cameras).len() < 2 { 0.0 } else { SIGMA_MOUNT_RAD }
+}
+
 /// Settings of the SLAM feature update.
 #[derive(Clone, Copy, Debug)]
 pub struct SlamUpdateSettings<'a> {
     /// Pixel noise, px.
     pub sigma_px: f64,
+    /// Noise of the direction in which a camera is mounted, rad: see [`sigma_mount_rad`].
+    pub sigma_mount_rad: f64,
     /// Linearize at first estimates.
     pub first_estimates: bool,
     /// The gate on the pixels of one feature.

@@ -44,6 +44,27 @@ impl Track {
     }
 }
 
+/// The cameras of which a frame has images: those that see something. Cameras need not be triggered together, and the tracks of one
+/// do not end with the image of another.
+#[derive(Clone, Debug)]
+pub struct ShownCameras([bool; 256]);
+
+impl ShownCameras {
+    /// Those of a frame's observations; all of a frame without any.
+    pub fn of(observations: &[TrackObservation]) -> Self {
+        let mut shown = [observations.is_empty(); 256];
+        for observation in observations {
+            shown[usize::from(observation.camera)] = true;
+        }
+        Self(shown)
+    }
+
+    /// Whether a camera is one of them.
+    pub fn contains(&self, camera: u8) -> bool {
+        self.0[usize::from(camera)]
+    }
+}
+
 /// All tracks that have not ended.
 #[derive(Clone, Debug, Default)]
 pub struct TrackStore {
@@ -82,10 +103,14 @@ impl TrackStore {
         }
     }
 
-    /// Moves the tracks that `newest` does not observe to `finished`. A feature that is observed again later begins a new
-    /// track.
-    pub fn take_ended(&mut self, newest: CloneId, finished: &mut Vec<Track>) {
-        finished.extend(self.running.extract_if(.., |track| track.newest() != Some(newest)));
+    /// Moves the tracks that `newest` does not observe although it shows their camera to `finished`. A feature that is observed
+    /// again later begins a new track.
+    pub fn take_ended(&mut self, newest: CloneId, shown: &ShownCameras, finished: &mut Vec<Track>) {
+        let has_ended = |track: &mut Track| {
+            let camera = track.observations.first().map(|first| first.camera);
+            track.newest() != Some(newest) && camera.is_none_or(|camera| shown.contains(camera))
+        };
+        finished.extend(self.running.extract_if(.., has_ended));
     }
 
     /// Moves the tracks that start at `clone`, which is about to be marginalized, to `finished`. Their features begin new
@@ -104,15 +129,16 @@ impl TrackStore {
         }));
     }
 
-    /// The tracks of the first camera that `newest` observes: first clone, its pixel, pixel of `newest`.
+    /// The tracks of a camera that `newest` observes: first clone, its pixel, pixel of `newest`.
     pub fn pairs_with(
         &self,
         newest: CloneId,
+        camera: usize,
     ) -> impl Iterator<Item = (CloneId, Vector2<f64>, Vector2<f64>)> + '_ {
         self.running.iter().filter_map(move |track| {
-            let of_first_camera = |observation: &&CloneObservation| observation.camera == 0;
-            let oldest = track.observations.iter().find(of_first_camera)?;
-            let last = track.observations.iter().rev().find(of_first_camera)?;
+            let of_camera = |observation: &&CloneObservation| usize::from(observation.camera) == camera;
+            let oldest = track.observations.iter().find(of_camera)?;
+            let last = track.observations.iter().rev().find(of_camera)?;
             (last.clone == newest).then_some((oldest.clone, oldest.pixel, last.pixel))
         })
     }
@@ -138,7 +164,7 @@ mod tests {
         for (k, frame) in frames.iter().enumerate() {
             let clone = CloneId(k as u64);
             store.add(clone, &seen(frame), |feature| feature == 9);
-            store.take_ended(clone, &mut finished);
+            store.take_ended(clone, &ShownCameras::of(&seen(frame)), &mut finished);
             if k == 3 {
                 store.take_starting_at(CloneId(0), &mut finished);
             }
@@ -151,5 +177,24 @@ mod tests {
         // Feature 2 before its gap; feature 1 with all four of its observations; feature 9 is a SLAM feature.
         assert_eq!(lengths, [(2, 2), (1, 4)]);
         assert_eq!(used, 6);
+    }
+
+    #[test]
+    fn a_track_goes_on_while_its_camera_is_not_triggered_and_ends_where_it_shows_others() {
+        let of = |camera: u8, ids: &[u64]| -> Vec<TrackObservation> {
+            seen(ids).into_iter().map(|observation| TrackObservation { camera, ..observation }).collect()
+        };
+        let mut store = TrackStore::default();
+        let mut ended = Vec::new();
+        // Two cameras in turn; then one of them does not see feature 1, and last nobody sees anything.
+        let frames = [of(0, &[1, 2]), of(1, &[5]), of(0, &[1, 2]), of(1, &[5]), of(0, &[2]), Vec::new()];
+        for (k, frame) in frames.iter().enumerate() {
+            let clone = CloneId(k as u64);
+            let mut finished = Vec::new();
+            store.add(clone, frame, |_| false);
+            store.take_ended(clone, &ShownCameras::of(frame), &mut finished);
+            ended.extend(finished.iter().map(|track| (k, track.feature_id, track.clones())));
+        }
+        assert_eq!(ended, [(4, 1, 2), (5, 2, 3), (5, 5, 2)]);
     }
 }

@@ -58,13 +58,25 @@ struct PixelPair {
 /// # Arguments
 /// * `sigma_px`: noise of tracked pixels, px.
 pub fn is_stationary(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> bool {
-    let Some(newest) = state.clones.last() else { return false };
-    let Some(calibrated) = state.calibration.cameras.first() else { return false };
+    // The first camera that sees enough decides: others may be covered.
+    let mut cameras = state.calibration.cameras.iter().enumerate();
+    cameras.find_map(|(camera, calibrated)| is_still_in(state, tracks, (camera, calibrated), sigma_px))
+        == Some(true)
+}
+
+/// Whether the tracks of a camera show that; `None` where they are too few.
+fn is_still_in(
+    state: &ActiveState,
+    tracks: &TrackStore,
+    (camera, calibrated): (usize, &CalibratedCamera),
+    sigma_px: f64,
+) -> Option<bool> {
+    let newest = state.clones.last()?;
     let now = newest.local_from_imu * calibrated.imu_from_camera;
     let mut pairs = SmallVec::<[PixelPair; 400]>::new();
     let mut compensated = SmallVec::<[PixelPair; 400]>::new();
     let mut turned = Values::new();
-    for (old, pixel_then, pixel_now) in tracks.pairs_with(newest.id) {
+    for (old, pixel_then, pixel_now) in tracks.pairs_with(newest.id, camera) {
         let Some(index) = state.clone_index(old) else { continue };
         let clone = &state.clones[index];
         if newest.stamp_ns - clone.stamp_ns < MIN_SPAN_NS {
@@ -77,9 +89,13 @@ pub fn is_stationary(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) ->
             turned.push((expected - pixel_then).norm());
         }
     }
+    if pairs.len() < MIN_TRACKS {
+        return None;
+    }
     let limit = MAX_DISPLACEMENT * sigma_px;
-    is_still(&pairs, limit)
-        || (2 * turned.len() > pairs.len() && median(&mut turned) > limit && is_still(&compensated, limit))
+    let mut turned_still =
+        || 2 * turned.len() > pairs.len() && median(&mut turned) > limit && is_still(&compensated, limit);
+    Some(is_still(&pairs, limit) || turned_still())
 }
 
 /// Whether an image neither moves nor expands.

@@ -163,6 +163,7 @@ impl World {
         MapAnswer {
             map_version: 1,
             map_identity: 1,
+            camera: 0,
             keyframes,
             held_at_query: Vec::new(),
             landmarks,

@@ -39,12 +39,16 @@ fn sequence() -> Sequence {
             (column.wrapping_mul(73_856_093) ^ row.wrapping_mul(19_349_663)).wrapping_mul(2_654_435_761) >> 16
         };
         let image = GrayImage::from_fn(160, 120, |x, y| (brightness(x, y) & 0xff) as u8);
-        Some(ImageData::Pixels(Arc::new(image)))
+        ImageData::Pixels(Arc::new(image))
     };
     let frame = |index: usize| {
         let first =
-            if index == MISSING { Some(ImageData::File("missing.png".into())) } else { image(offset(index)) };
-        Frame { stamp_ns: stamp_ns(index), images: [first, image(offset(index) + 5)], ..Frame::default() }
+            if index == MISSING { ImageData::File("missing.png".into()) } else { image(offset(index)) };
+        Frame {
+            stamp_ns: stamp_ns(index),
+            images: [(0, first), (1, image(offset(index) + 5))].into(),
+            ..Frame::default()
+        }
     };
     Sequence {
         root: "wall".into(),
@@ -137,8 +141,8 @@ fn keyframes_depend_neither_on_the_number_of_extractors_nor_on_when_they_are_sel
 #[test]
 fn an_image_of_another_size_ends_the_selection_and_not_the_odometry() {
     let mut sequence = sequence();
-    sequence.frames[0].images[1] =
-        Some(ImageData::Pixels(Arc::new(GrayImage::from_fn(64, 64, |x, y| (x * y) as u8))));
+    let small = ImageData::Pixels(Arc::new(GrayImage::from_fn(64, 64, |x, y| (x * y) as u8)));
+    sequence.frames[0].images.insert(1, small);
     let mut two = extractors(2);
     let (frames, selected) = select_during(
         &sequence.cameras,

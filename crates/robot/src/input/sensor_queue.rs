@@ -54,7 +54,7 @@ impl<'a> SensorQueue<'a> {
         self.source.live()
     }
 
-    /// Stereo pairs and images without a partner; `None` for one camera.
+    /// Stereo pairs and images without a partner; `None` without a stereo pair.
     pub(crate) fn stereo_pairs(&self) -> Option<PairCounts> {
         self.source.stereo_pairs()
     }

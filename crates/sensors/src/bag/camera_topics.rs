@@ -15,14 +15,14 @@ const DEPTH: &str = "depth";
 
 /// The cameras of a bag.
 pub(super) struct FoundCameras {
-    /// One topic or two.
+    /// Their topics.
     pub(super) topics: Vec<usize>,
     /// What other topics are not used, and why.
     pub(super) notes: Vec<String>,
 }
 
 /// Finds the cameras: the topics that are named, else those that the calibration names, else one or two in order of their
-/// names.
+/// names, since the others of a device may see depths or colours.
 ///
 /// # Arguments
 /// * `calibrated`: the topic of each camera of the calibration, where that states it (Kalibr's `rostopic`).
@@ -33,11 +33,10 @@ pub(super) fn find(
 ) -> Result<FoundCameras, SequenceError> {
     match files.camera_topics.as_slice() {
         [] => choose(bag, calibrated),
-        [_] | [_, _] => {
-            let topics = files.camera_topics.iter().map(|name| find_named(bag, name));
+        named => {
+            let topics = named.iter().map(|name| find_named(bag, name));
             Ok(FoundCameras { topics: topics.collect::<Result<_, _>>()?, notes: Vec::new() })
         }
-        _ => Err(wrong(bag, "three cameras are named with --camera-topic: at most two are used")),
     }
 }
 
@@ -67,7 +66,7 @@ fn choose(bag: &Bag, calibrated: &[Option<String>]) -> Result<FoundCameras, Sequ
         let name = camera.as_ref()?;
         found.iter().copied().find(|&topic| is_same_camera(&topics[topic].name, name))
     };
-    let bound: Vec<usize> = calibrated.iter().filter_map(of_camera).take(2).collect();
+    let bound: Vec<usize> = calibrated.iter().filter_map(of_camera).collect();
     if !bound.is_empty() {
         let others = found.iter().filter(|topic| !bound.contains(topic));
         notes.extend(others.map(|&topic| {
@@ -90,7 +89,7 @@ fn choose(bag: &Bag, calibrated: &[Option<String>]) -> Result<FoundCameras, Sequ
         }
         _ => {
             let list = listed(bag, found.into_iter());
-            let problem = "several topics could be the cameras; name one or two with --camera-topic:";
+            let problem = "several topics could be the cameras; name those to use with --camera-topic:";
             Err(wrong(bag, format!("{problem}{list}")))
         }
     }

@@ -11,7 +11,7 @@ use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
     CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError, WheelReading,
-    WheelReadings,
+    WheelReadings, camera_groups,
 };
 use bags::Bag;
 use std::path::{Path, PathBuf};
@@ -76,12 +76,13 @@ impl BagRecording {
         let time_offset_ns = calibration.time_offset_ns;
         let cameras_hz: Vec<f64> = cameras.iter().map(|camera| camera.rate_hz()).collect();
         let calibration = calibration.with_rates(imu.as_ref().map(StampedTopic::rate_hz), &cameras_hz)?;
+        let groups = camera_groups(&calibration.cameras);
         let recording = Self {
             bag: Arc::new(bag),
             imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
             accelerometer: accelerometer.map(Arc::new),
             wheels: wheels.map(|(topic, how)| (Arc::new(topic), how)),
-            cameras: Arc::new(Cameras::new(cameras, files.pair_tolerance_ns())),
+            cameras: Arc::new(Cameras::new(cameras, &groups, files.pair_tolerance_ns())),
             imu_units: files.imu_units,
             time_offset_ns,
         };

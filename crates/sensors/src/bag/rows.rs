@@ -3,9 +3,9 @@
 use super::image::BagImage;
 use super::index::{Stamped, StampedTopic};
 use super::messages;
-use crate::pairing::{PairCounts, pair};
+use crate::pairing::{JoinedImages, PairCounts, join};
 use crate::ros::imu_sample;
-use crate::{Frame, ImageData, ImuSample, SequenceError};
+use crate::{CameraGroup, Frame, ImageData, ImuSample, SequenceError};
 use bags::Bag;
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::Imu;
@@ -63,33 +63,28 @@ pub(super) fn is_finite(vector: &Vector3<f64>) -> bool {
     vector.iter().all(|value| value.is_finite())
 }
 
-/// One camera, or the two of a stereo pair: which images make a frame.
+/// The cameras of a bag: which images make a frame.
 #[derive(Debug)]
 pub(super) struct Cameras {
     topics: Vec<Arc<StampedTopic>>,
-    /// Number of the image of camera 1 for each image of camera 0.
-    partners: Vec<Option<usize>>,
-    /// Of two cameras.
+    frames: Vec<JoinedImages>,
+    /// Of stereo pairs.
     pub(super) pairs: Option<PairCounts>,
 }
 
 impl Cameras {
-    pub(super) fn new(topics: Vec<Arc<StampedTopic>>, tolerance_ns: i64) -> Self {
+    pub(super) fn new(topics: Vec<Arc<StampedTopic>>, groups: &[CameraGroup], tolerance_ns: i64) -> Self {
         let stamps = |topic: &Arc<StampedTopic>| -> Vec<i64> {
             topic.messages.iter().map(|message| message.stamp_ns).collect()
         };
-        let (partners, pairs) = match topics.as_slice() {
-            [first, second, ..] => {
-                let (partners, counts) = pair(&stamps(first), &stamps(second), tolerance_ns);
-                (partners, Some(counts))
-            }
-            _ => (Vec::new(), None),
-        };
-        Self { topics, partners, pairs }
+        let stamps: Vec<Vec<i64>> = topics.iter().map(stamps).collect();
+        let stamps: Vec<&[i64]> = stamps.iter().map(Vec::as_slice).collect();
+        let (frames, pairs) = join(groups, &stamps, tolerance_ns);
+        Self { topics, frames, pairs }
     }
 }
 
-/// The frames of one or two cameras: one for each image of camera 0, with its partner.
+/// The frames of the cameras of a bag.
 pub(super) struct FrameRows {
     bag: Arc<Bag>,
     cameras: Arc<Cameras>,
@@ -109,20 +104,19 @@ impl Iterator for FrameRows {
     type Item = Result<Frame, SequenceError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let Cameras { topics, partners, .. } = &*self.cameras;
-        let first = topics.first()?;
-        let stamp_ns = first.messages.get(self.next)?.stamp_ns;
-        let partner = partners.get(self.next).copied().flatten();
+        let Cameras { topics, frames, .. } = &*self.cameras;
+        let joined = frames.get(self.next)?;
         let image = |topic: &StampedTopic, number: usize| {
             let Stamped { stamp_ns, place } = topic.messages[number];
             let image = BagImage { bag: Arc::clone(&self.bag), topic: topic.topic, stamp_ns, place };
             ImageData::Stored(Arc::new(image))
         };
-        let second = topics.get(1).zip(partner).map(|(topic, number)| image(topic, number));
-        let images = [Some(image(first, self.next)), second];
+        let numbers = topics.iter().zip(&joined.images).enumerate();
+        let images = numbers
+            .filter_map(|(camera, (topic, number))| Some((camera, image(topic, (*number)?))))
+            .collect();
         self.next += 1;
-        // The stamp of a pair is that of camera 0.
-        let stamp_ns = stamp_ns.saturating_add(self.time_offset_ns);
+        let stamp_ns = joined.stamp_ns.saturating_add(self.time_offset_ns);
         Some(Ok(Frame { stamp_ns, images, ..Frame::default() }))
     }
 }

@@ -10,7 +10,7 @@ use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
-/// Iterates over the frames of all cameras: one for each image of camera 0, with its partner. Ends with the first error.
+/// Iterates over the frames of all cameras. Ends with the first error.
 pub(crate) struct FrameRows {
     cameras: Vec<CameraRows>,
     stamps: Arc<FrameStamps>,
@@ -30,7 +30,8 @@ impl FrameRows {
     }
 
     fn read_next(&mut self) -> Result<Option<Frame>, SequenceError> {
-        let Some(&(stamp_ns, partner_ns)) = self.stamps.frames.get(self.next) else {
+        let stamps = Arc::clone(&self.stamps);
+        let Some(joined) = stamps.frames.get(self.next) else {
             for camera in &mut self.cameras {
                 camera.skip_to(i64::MAX)?;
                 camera.expect_end()?;
@@ -38,9 +39,10 @@ impl FrameRows {
             return Ok(None);
         };
         self.next += 1;
-        let mut frame = Frame { stamp_ns, ..Frame::default() };
-        for (camera, image_ns) in self.cameras.iter_mut().zip([Some(stamp_ns), partner_ns]) {
-            let Some(image_ns) = image_ns else { continue };
+        let mut frame = Frame { stamp_ns: joined.stamp_ns, ..Frame::default() };
+        let images = joined.images.iter().zip(&stamps.images);
+        for (camera, (number, table)) in self.cameras.iter_mut().zip(images) {
+            let Some(image_ns) = number.map(|number| table.used[number]) else { continue };
             camera.skip_to(image_ns)?;
             if camera.image_ns != Some(image_ns) {
                 return Err(camera.images.row().wrong("the file was changed while it was read: start again"));
@@ -140,11 +142,11 @@ impl CameraRows {
 
     /// Reads all that belongs to the next image into its frame, and advances.
     fn read_into(&mut self, frame: &mut Frame) -> Result<(), SequenceError> {
-        // Of a pair, the images have stamps of their own.
+        // The images of a frame have stamps of their own.
         let Some(image_ns) = self.image_ns else { return Ok(()) };
         if let Some(folder) = &self.image_folder {
-            frame.images[usize::from(self.camera)] =
-                Some(ImageData::File(image_file(&self.images.row(), folder)?));
+            let file = image_file(&self.images.row(), folder)?;
+            frame.images.insert(usize::from(self.camera), ImageData::File(file));
         }
         if let Some(tracks) = &mut self.tracks {
             self.seen_ids.clear();

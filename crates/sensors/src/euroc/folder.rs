@@ -17,6 +17,8 @@ use geometry::pose::Pose;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Cameras are named by a byte in tracks.
+const MAX_CAMERAS: usize = 256;
 /// Images from which the rate of a camera is measured, where its calibration does not state it.
 const RATE_IMAGES: usize = 100;
 
@@ -75,7 +77,7 @@ impl FolderCalibration {
         };
         let wheels_path = mav.join("wheels0/sensor.yaml");
         let wheels = wheels_path.exists().then(|| sensor_yaml::read_wheels(&wheels_path)).transpose()?;
-        let count = if mav.join("cam1").is_dir() { 2 } else { 1 };
+        let count = (1..MAX_CAMERAS).take_while(|index| mav.join(format!("cam{index}")).is_dir()).count() + 1;
         let folders = (0..count).map(|index| mav.join(format!("cam{index}")));
         let Some(path) = &files.cameras else {
             let read = |folder: PathBuf| sensor_yaml::read_camera(&folder.join("sensor.yaml"));
@@ -86,7 +88,7 @@ impl FolderCalibration {
                 files,
             });
         };
-        let chain = kalibr::read_camera_chain(path, &vec![None; count], &[0, 1][..count])?;
+        let chain = kalibr::read_camera_chain(path, &vec![None; count], &(0..count).collect::<Vec<_>>())?;
         let sensor = |(((camera, imu_from_camera), readout_s), folder): (((Camera, Pose), f64), PathBuf)| {
             let rate_hz = rate_of(&folder.join("data.csv"))?;
             Ok(CameraSensor { camera, imu_from_camera, rate_hz, readout_s })
@@ -124,7 +126,7 @@ impl Folder {
         let if_there = |path: PathBuf| path.exists().then(|| TableStamps::read(&path));
         let folder = Self {
             root: root.to_path_buf(),
-            frames: Arc::new(FrameStamps::read(&mav, sensors.cameras.len(), files.pair_tolerance_ns())),
+            frames: Arc::new(FrameStamps::read(&mav, &sensors.cameras, files.pair_tolerance_ns())),
             readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
             wheels: if_there(wheels_path(root)),
             truth: if_there(truth_path(root)),

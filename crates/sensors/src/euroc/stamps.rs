@@ -1,10 +1,11 @@
 //! The stamps of a folder's tables, read before the rest: which rows have wrong ones, in which order they are read, and which
-//! images make a pair.
+//! images make a frame.
 
-use crate::pairing::{PairCounts, pair};
+use crate::pairing::{JoinedImages, PairCounts, join};
 use crate::row_order::{RowOrder, SortedLines};
 use crate::stamps::{Told, order};
 use crate::table::Table;
+use crate::{CameraSensor, camera_groups};
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -67,28 +68,21 @@ impl TableStamps {
 /// The frames of the cameras of a folder.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FrameStamps {
-    /// Stamps of the images of camera 0 and camera 1 in each frame.
-    pub(super) frames: Vec<(i64, Option<i64>)>,
+    /// The images of each frame.
+    pub(super) frames: Vec<JoinedImages>,
     /// Of each camera.
     pub(super) images: Vec<TableStamps>,
-    /// Of two cameras.
+    /// Of stereo pairs.
     pub(super) pairs: Option<PairCounts>,
 }
 
 impl FrameStamps {
-    /// Reads the stamps of the first `cameras` cameras, and pairs them.
-    pub(super) fn read(mav: &Path, cameras: usize, tolerance_ns: i64) -> Self {
+    /// Reads the stamps of the cameras, and joins their images to frames.
+    pub(super) fn read(mav: &Path, cameras: &[CameraSensor], tolerance_ns: i64) -> Self {
         let read = |camera| TableStamps::read(&mav.join(format!("cam{camera}/data.csv")));
-        let tables: Vec<TableStamps> = (0..cameras).map(read).collect();
-        let (frames, pairs) = match tables.as_slice() {
-            [first, second, ..] => {
-                let (partners, counts) = pair(&first.used, &second.used, tolerance_ns);
-                let partners = partners.iter().map(|partner| partner.map(|number| second.used[number]));
-                (first.used.iter().copied().zip(partners).collect(), Some(counts))
-            }
-            [first] => (first.used.iter().map(|stamp_ns| (*stamp_ns, None)).collect(), None),
-            [] => Default::default(),
-        };
+        let tables: Vec<TableStamps> = (0..cameras.len()).map(read).collect();
+        let stamps: Vec<&[i64]> = tables.iter().map(|table| table.used.as_slice()).collect();
+        let (frames, pairs) = join(&camera_groups(cameras), &stamps, tolerance_ns);
         Self { frames, images: tables, pairs }
     }
 }

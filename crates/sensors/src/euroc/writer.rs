@@ -194,7 +194,7 @@ fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
 /// Of a recording without images all frames are listed.
 fn image_rows(out: &mut Out, frames: &[Frame], camera: usize) -> std::io::Result<()> {
     writeln!(out, "#timestamp [ns],filename")?;
-    let image = |frame: &Frame| frame.images.get(camera).cloned().flatten();
+    let image = |frame: &Frame| frame.images.get(&camera).cloned();
     let has_images = frames.iter().any(|frame| image(frame).is_some());
     frames.iter().filter(|frame| !has_images || image(frame).is_some()).try_for_each(|frame| {
         writeln!(out, "{},{}", frame.stamp_ns, image_name(frame.stamp_ns, image(frame).as_ref()))

@@ -1,17 +1,19 @@
-//! Frames from what arrives: images of the two cameras of a pair joined by their stamps, or tracks.
+//! Frames from what arrives: images of the cameras joined by their stamps, or tracks.
 
 use super::fault::{FaultKind, FaultLog};
 use super::image::LiveImage;
 use super::reorder::Reorder;
 use super::stream::Stream;
-use crate::{PairCounts, TrackObservation};
+use crate::{CameraGroup, PairCounts, TrackObservation};
 use protocol::FeatureSet;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// A frame whose images are not decoded yet.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct PendingFrame {
-    pub(super) images: [Option<LiveImage>; 2],
+    /// By camera.
+    pub(super) images: BTreeMap<usize, LiveImage>,
     pub(super) tracks: Vec<TrackObservation>,
     pub(super) features: Option<FeatureSet>,
 }
@@ -20,17 +22,22 @@ pub(super) struct PendingFrame {
 #[derive(Debug)]
 pub(super) struct Assembly {
     frames: Reorder<PendingFrame>,
-    cameras: usize,
+    groups: Vec<CameraGroup>,
+    /// Stamp of the newest image of each camera.
+    newest_ns: BTreeMap<usize, i64>,
     tolerance_ns: i64,
     pairs: PairCounts,
 }
 
 impl Assembly {
-    pub(super) fn new(cameras: usize, tolerance_ns: i64) -> Self {
-        Self { frames: Reorder::new(), cameras, tolerance_ns, pairs: PairCounts::default() }
+    /// # Arguments
+    /// * `groups`: of the cameras whose images come; none where tracks come.
+    pub(super) fn new(groups: Vec<CameraGroup>, tolerance_ns: i64) -> Self {
+        let (frames, newest_ns) = (Reorder::new(), BTreeMap::new());
+        Self { frames, groups, newest_ns, tolerance_ns, pairs: PairCounts::default() }
     }
 
-    /// Adds an image; the frame has the stamp of camera 0.
+    /// Adds an image; the frame has the stamp of its first camera.
     pub(super) fn image(
         &mut self,
         camera: usize,
@@ -38,7 +45,7 @@ impl Assembly {
         now: Duration,
         faults: &mut FaultLog,
     ) {
-        let lacks_it = |frame: &PendingFrame| frame.images[camera].is_none();
+        let lacks_it = |frame: &PendingFrame| !frame.images.contains_key(&camera);
         let partner = self.frames.nearest(stamp_ns, self.tolerance_ns, lacks_it);
         if let Some(at_ns) = partner {
             let largest_ns = &mut self.pairs.largest_difference_ns;
@@ -47,8 +54,11 @@ impl Assembly {
         let (arrival, mut frame) = partner
             .and_then(|at_ns| self.frames.remove(at_ns))
             .unwrap_or_else(|| (now, PendingFrame::default()));
-        frame.images[camera] = Some(image);
-        let of_first = if camera == 0 { stamp_ns } else { partner.unwrap_or(stamp_ns) };
+        let is_first = frame.images.keys().all(|other| camera < *other);
+        frame.images.insert(camera, image);
+        let newest_ns = self.newest_ns.entry(camera).or_insert(stamp_ns);
+        *newest_ns = stamp_ns.max(*newest_ns);
+        let of_first = if is_first { stamp_ns } else { partner.unwrap_or(stamp_ns) };
         self.push(Stream::Camera(camera), (of_first, frame), (arrival, now), faults);
     }
 
@@ -57,9 +67,9 @@ impl Assembly {
         self.push(Stream::Tracks, frame, (now, now), faults);
     }
 
-    /// Pairs and lone images so far; `None` for one camera.
+    /// Pairs and lone images so far; `None` without a stereo pair.
     pub(super) fn pairs(&self) -> Option<PairCounts> {
-        (self.cameras > 1).then_some(self.pairs)
+        self.groups.iter().any(|group| group.second.is_some()).then_some(self.pairs)
     }
 
     fn push(
@@ -83,33 +93,57 @@ impl Assembly {
         &mut self,
         now: Duration,
         period_ns: Option<i64>,
-        is_alive: [bool; 2],
+        is_alive: impl Fn(usize) -> bool,
         faults: &mut FaultLog,
     ) -> Option<(i64, PendingFrame)> {
         loop {
-            let cameras = self.cameras;
-            let is_complete = |frame: &PendingFrame| {
-                (0..cameras).all(|camera| frame.images[camera].is_some() || !is_alive[camera])
+            let Self { frames, groups, newest_ns, tolerance_ns, .. } = self;
+            // The images of a group that is triggered at other times are not waited for: later ones show that there is none.
+            let is_past = |group: &CameraGroup, frame: &PendingFrame, stamp_ns: i64| {
+                let newest_ns = newest_ns.get(&group.first);
+                let is_later = |ns: &i64| *ns > stamp_ns.saturating_add(*tolerance_ns);
+                newest_ns.is_some_and(is_later)
+                    && group.cameras().all(|camera| !frame.images.contains_key(&camera))
             };
-            let (stamp_ns, frame) = self.frames.pop(now, period_ns, is_complete)?;
-            if cameras > 1 && frame.images.iter().any(Option::is_none) {
-                let lone = usize::from(frame.images[0].is_none());
-                let fate = ["used as those of one camera", "dropped"][lone];
-                let tolerance_ms = self.tolerance_ns as f64 * 1e-6;
-                let problem = format!(
-                    "images without one of cam{} within {tolerance_ms:.1} ms are {fate}; check the cameras' trigger",
-                    1 - lone
-                );
-                faults.note(Stream::Camera(lone), FaultKind::Unpaired, now, problem);
-                if lone == 1 {
-                    self.pairs.lone_second += 1;
-                    continue;
-                }
-                self.pairs.lone_first += 1;
-            } else {
-                self.pairs.pairs += 1;
+            let is_complete = |stamp_ns: i64, frame: &PendingFrame| {
+                let is_there = |camera| frame.images.contains_key(&camera) || !is_alive(camera);
+                groups.iter().all(|group| group.cameras().all(is_there) || is_past(group, frame, stamp_ns))
+            };
+            let (stamp_ns, mut frame) = frames.pop(now, period_ns, is_complete)?;
+            let is_of_images = !frame.images.is_empty();
+            self.count_pairs(&mut frame, now, faults);
+            if is_of_images && frame.images.is_empty() {
+                continue;
             }
             return Some((stamp_ns, frame));
+        }
+    }
+
+    /// Counts the stereo pairs of a frame, and drops images of second cameras without a partner.
+    fn count_pairs(&mut self, frame: &mut PendingFrame, now: Duration, faults: &mut FaultLog) {
+        for group in &self.groups {
+            let Some(second) = group.second else { continue };
+            let is_there = |camera| frame.images.contains_key(&camera);
+            let (lone, missing, fate) = match (is_there(group.first), is_there(second)) {
+                (true, true) => {
+                    self.pairs.pairs += 1;
+                    continue;
+                }
+                (false, false) => continue,
+                (true, false) => (group.first, second, "used as those of one camera"),
+                (false, true) => (second, group.first, "dropped"),
+            };
+            let tolerance_ms = self.tolerance_ns as f64 * 1e-6;
+            let problem = format!(
+                "images without one of cam{missing} within {tolerance_ms:.1} ms are {fate}; check the cameras' trigger"
+            );
+            faults.note(Stream::Camera(lone), FaultKind::Unpaired, now, problem);
+            if lone == second {
+                self.pairs.lone_second += 1;
+                frame.images.remove(&second);
+            } else {
+                self.pairs.lone_first += 1;
+            }
         }
     }
 }

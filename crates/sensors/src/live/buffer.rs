@@ -8,7 +8,9 @@ use super::reorder::Reorder;
 use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
 use super::stream::Stream;
-use crate::{ImuSample, ImuUnits, PairCounts, SensorCalibration, TrackObservation, WheelReading};
+use crate::{
+    ImuSample, ImuUnits, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups,
+};
 use protocol::FeatureSet;
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
@@ -41,7 +43,8 @@ pub(super) struct LiveBuffer {
     cameras: Vec<Lane<LiveImage>>,
     tracks: Option<Lane<PendingFrame>>,
     wheels: Option<Lane<WheelReading>>,
-    repetitions: [Repetition; 2],
+    /// Of each camera.
+    repetitions: Vec<Repetition>,
     newest_jump: Option<Jump>,
     reorder: Reorder<ImuSample>,
     assembly: Assembly,
@@ -60,9 +63,9 @@ pub(super) struct LiveBuffer {
 
 impl LiveBuffer {
     pub(super) fn new(calibration: &SensorCalibration, settings: &LiveSettings) -> Self {
-        let (cameras, tracks) = match settings.frames {
+        let (cameras, tracks): (Vec<_>, _) = match settings.frames {
             LiveFrames::Images => {
-                let sensors = calibration.cameras.iter().take(settings.cameras.min(2)).enumerate();
+                let sensors = calibration.cameras.iter().take(settings.cameras).enumerate();
                 let lane = |(index, sensor): (usize, &crate::CameraSensor)| {
                     let stated_hz = Some(sensor.rate_hz).filter(|_| settings.camera_rate_is_stated);
                     Lane::new(Stream::Camera(index), stated_hz)
@@ -71,19 +74,19 @@ impl LiveBuffer {
             }
             LiveFrames::Tracks { .. } => (Vec::new(), Some(Lane::new(Stream::Tracks, None))),
         };
-        let images = cameras.len();
+        let groups = camera_groups(&calibration.cameras[..cameras.len()]);
         Self {
             max_waiting_frames: settings.max_waiting_frames.max(1),
             camera_offset_ns: settings.camera_offset_ns,
             imu_units: settings.imu_units,
             imu: Lane::new(Stream::Imu, calibration.imu.as_ref().map(|imu| imu.rate_hz)),
+            repetitions: cameras.iter().map(|_| Repetition::default()).collect(),
             cameras,
             tracks,
             wheels: settings.wheels.map(|_| Lane::new(Stream::Wheels, None)),
-            repetitions: Default::default(),
             newest_jump: None,
             reorder: Reorder::new(),
-            assembly: Assembly::new(images, settings.pair_tolerance_ns),
+            assembly: Assembly::new(groups, settings.pair_tolerance_ns),
             readings: VecDeque::new(),
             wheel_readings: VecDeque::new(),
             frames: VecDeque::new(),
@@ -229,7 +232,7 @@ impl LiveBuffer {
     }
 
     fn sort_readings(&mut self, now: Duration) {
-        while let Some((stamp_ns, reading)) = self.reorder.pop(now, self.imu.period_ns(), |_| true) {
+        while let Some((stamp_ns, reading)) = self.reorder.pop(now, self.imu.period_ns(), |_, _| true) {
             self.imu_until_ns = stamp_ns;
             if let Some(tap) = &self.tap {
                 let _ = tap.try_send(reading);
@@ -242,7 +245,8 @@ impl LiveBuffer {
     }
 
     fn sort_frames(&mut self, now: Duration) {
-        let is_alive = [0, 1].map(|camera| self.cameras.get(camera).is_some_and(|lane| lane.is_alive(now)));
+        let cameras = &self.cameras;
+        let is_alive = |camera: usize| cameras.get(camera).is_some_and(|lane| lane.is_alive(now));
         let period_ns = match &self.tracks {
             Some(lane) => lane.period_ns(),
             None => self.cameras.first().and_then(Lane::period_ns),
@@ -299,7 +303,7 @@ impl LiveBuffer {
         states.flatten().chain(self.faults.active(now)).collect()
     }
 
-    /// Stereo pairs and lone images so far; `None` for one camera.
+    /// Stereo pairs and lone images so far; `None` without a stereo pair.
     pub(super) fn pairs(&self) -> Option<PairCounts> {
         self.assembly.pairs()
     }

@@ -58,12 +58,12 @@ impl<T> Reorder<T> {
     ///
     /// # Arguments
     /// * `period_ns`: usual distance of two messages; without one every message is in order.
-    /// * `is_complete`: whether nothing is missing from the message itself.
+    /// * `is_complete`: whether nothing is missing from the message itself, by its stamp.
     pub(super) fn pop(
         &mut self,
         now: Duration,
         period_ns: Option<i64>,
-        is_complete: impl FnOnce(&T) -> bool,
+        is_complete: impl FnOnce(i64, &T) -> bool,
     ) -> Option<(i64, T)> {
         let (&stamp_ns, (arrival, item)) = self.waiting.first_key_value()?;
         let waited = now.saturating_sub(*arrival);
@@ -74,7 +74,7 @@ impl<T> Reorder<T> {
         });
         let wait = if follows { LONGEST_WAIT } else { self.wait };
         let is_over = waited >= wait || self.waiting.len() > MAX_WAITING;
-        let is_ready = follows && is_complete(item);
+        let is_ready = follows && is_complete(stamp_ns, item);
         if !is_over && !is_ready {
             return None;
         }

@@ -22,11 +22,11 @@ pub enum LiveFrames {
 pub struct LiveSettings {
     /// What is expected.
     pub frames: LiveFrames,
-    /// Cameras whose images are used, 1 or 2.
+    /// Number of cameras whose images are used, the first ones of the calibration.
     pub cameras: usize,
     /// Whether the calibration states the rate of the cameras; Kalibr's does not.
     pub camera_rate_is_stated: bool,
-    /// Largest difference between the stamps of the two images of a stereo pair, nanoseconds.
+    /// Largest difference between the stamps of the images of a frame, nanoseconds.
     pub pair_tolerance_ns: i64,
     /// Added to the stamps of images, nanoseconds: Kalibr's `timeshift_cam_imu`.
     pub camera_offset_ns: i64,
@@ -43,7 +43,7 @@ impl LiveSettings {
     pub fn images(calibration: &SensorCalibration) -> Self {
         Self {
             frames: LiveFrames::Images,
-            cameras: calibration.cameras.len().min(2),
+            cameras: calibration.cameras.len(),
             camera_rate_is_stated: true,
             pair_tolerance_ns: PAIR_TOLERANCE_NS,
             camera_offset_ns: 0,

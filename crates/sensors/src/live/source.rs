@@ -11,6 +11,7 @@ use crate::{
     TrackObservation, WheelReading,
 };
 use protocol::FeatureSet;
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -67,13 +68,13 @@ impl LiveInputs {
     /// Hands in an image of a camera.
     ///
     /// # Arguments
-    /// * `camera`: 0 or 1; images of cameras that are not used are ignored.
+    /// * `camera`: its index in the calibration; images of cameras that are not used are ignored.
     /// * `stamp_ns`: time of exposure on the clock of the camera, nanoseconds.
     pub fn image(&self, camera: usize, stamp_ns: i64, image: LiveImage) {
         self.shared.with(|buffer, now| buffer.image(camera, stamp_ns, image, now));
     }
 
-    /// Hands in the tracks of an instant, those of camera 0 first, and its features where there are any.
+    /// Hands in the tracks of an instant, and its features where there are any.
     pub fn tracks(&self, stamp_ns: i64, tracks: Vec<TrackObservation>, features: Option<FeatureSet>) {
         self.shared.with(|buffer, now| buffer.tracks(stamp_ns, tracks, features, now));
     }
@@ -159,21 +160,21 @@ impl LiveSource {
         (inputs, Self { name, calibration, contents, shared, last_return: Instant::now() })
     }
 
-    /// Decodes the images of a frame; `None` where that of camera 0 cannot be used.
+    /// Decodes the images of a frame; `None` where none of them can be used.
     fn decode(&self, stamp_ns: i64, pending: PendingFrame) -> Option<Frame> {
         let PendingFrame { images, tracks, features } = pending;
-        let mut frame = Frame { stamp_ns, images: [None, None], tracks, features };
-        for (camera, (image, sensor)) in images.into_iter().zip(&self.calibration.cameras).enumerate() {
-            let Some(image) = image else { continue };
+        let mut frame = Frame { stamp_ns, images: BTreeMap::new(), tracks, features };
+        for (camera, image) in images {
+            let Some(sensor) = self.calibration.cameras.get(camera) else { continue };
             match image.into_image((sensor.camera.width, sensor.camera.height)) {
-                Ok(image) => frame.images[camera] = Some(image),
+                Ok(image) => drop(frame.images.insert(camera, image)),
                 Err(error) => {
                     let problem = error.to_string();
                     self.shared.with(|buffer, now| buffer.refuse(Stream::Camera(camera), problem, now));
                 }
             }
         }
-        (frame.images[0].is_some() || !self.contents.images).then_some(frame)
+        (!frame.images.is_empty() || !self.contents.images).then_some(frame)
     }
 
     /// Waits for the next event; `None` when it is time for a tick, and an error at the end.

@@ -8,7 +8,7 @@ use std::fmt;
 pub enum Stream {
     /// Readings of the IMU.
     Imu,
-    /// Images of a camera, 0 or 1.
+    /// Images of a camera.
     Camera(usize),
     /// Tracks (and features) of a front end that runs elsewhere.
     Tracks,

@@ -17,6 +17,7 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 const START_NS: i64 = 1_403_636_625_938_517_094;
@@ -119,7 +120,7 @@ fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
         },
         extractor: String::new(),
     });
-    Frame { stamp_ns: START_NS + index * 100_000_001, images: [None, None], tracks, features }
+    Frame { stamp_ns: START_NS + index * 100_000_001, images: BTreeMap::new(), tracks, features }
 }
 
 fn truth_row(rng: &mut StdRng, index: i64) -> TruthRow {

@@ -44,6 +44,61 @@ fn reading_undoes_writing() {
 }
 
 #[test]
+fn cameras_of_a_rig_that_are_triggered_apart_give_frames_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rig = sequence(2);
+    rig.cameras.extend(rig.cameras.clone());
+    rig.frames.iter_mut().for_each(|frame| frame.tracks.clear());
+    writer::write(&rig, folder.path()).unwrap();
+    // The cameras look in different directions; the third one is triggered 30 ms after the others, and the last image of the
+    // fourth is lost.
+    let path = |camera: usize, file: &str| folder.path().join(format!("mav0/cam{camera}/{file}"));
+    for camera in 0..4 {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), camera as f64 * 1.57);
+        let mut sensor = rig.cameras[0].clone();
+        sensor.camera.distortion = Distortion::None;
+        sensor.imu_from_camera = Pose::new(turn, Vector3::zeros());
+        let alone = folder.path().join(format!("alone{camera}"));
+        let calibration = SensorCalibration { imu: None, cameras: vec![sensor], wheels: None };
+        writer::write_calibration(&calibration, &alone).unwrap();
+        std::fs::copy(alone.join("mav0/cam0/sensor.yaml"), path(camera, "sensor.yaml")).unwrap();
+    }
+    let row = |stamp_ns: i64| format!("{stamp_ns},{stamp_ns}.png\n");
+    let list = |stamps: &[i64]| stamps.iter().map(|ms| row(ms * 1_000_000)).collect::<String>();
+    for (camera, stamps) in [(0, [100, 200, 300]), (1, [101, 200, 299]), (2, [130, 230, 330])] {
+        std::fs::write(path(camera, "data.csv"), list(&stamps)).unwrap();
+    }
+    std::fs::write(path(3, "data.csv"), list(&[100, 200])).unwrap();
+    std::fs::write(path(3, "tracks.csv"), "200000000,7,10,20\n").unwrap();
+    std::fs::remove_file(path(0, "features.csv")).unwrap();
+    for camera in 0..4 {
+        std::fs::create_dir(path(camera, "data")).unwrap();
+        for line in std::fs::read_to_string(path(camera, "data.csv")).unwrap().lines() {
+            let name = line.split(',').nth(1).unwrap();
+            std::fs::write(path(camera, "data").join(name), "an image").unwrap();
+        }
+    }
+    let (stored, calibration) = crate::stored::open(folder.path(), &CalibrationFiles::default()).unwrap();
+    assert_eq!((calibration.cameras.len(), stored.stereo_pairs()), (4, None));
+    let frames: Vec<Frame> = stored.frames().unwrap().map(Result::unwrap).collect();
+    let seen: Vec<(i64, Vec<usize>)> = frames
+        .iter()
+        .map(|frame| (frame.stamp_ns / 1_000_000, frame.images.keys().copied().collect()))
+        .collect();
+    let expected = [
+        (100, vec![0, 1, 3]),
+        (130, vec![2]),
+        (200, vec![0, 1, 3]),
+        (230, vec![2]),
+        (300, vec![0, 1]),
+        (330, vec![2]),
+    ];
+    assert_eq!(seen, expected);
+    let tracks: Vec<u8> = frames[2].tracks.iter().map(|track| track.camera).collect();
+    assert_eq!(tracks, [3]);
+}
+
+#[test]
 fn writing_what_was_read_gives_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));

@@ -165,10 +165,8 @@ pub fn frames(recording: &Recording<'_>) -> Vec<(i64, [Option<u8>; 2])> {
     let mut frames = Vec::new();
     while let Some(event) = source.next().unwrap() {
         if let SensorEvent::Frame(frame) = event {
-            let number = |image: &Option<sensors::ImageData>| {
-                image.as_ref().map(|image| image.read().unwrap().pixels()[0])
-            };
-            frames.push((frame.stamp_ns, frame.images.each_ref().map(number)));
+            let number = |camera| frame.images.get(&camera).map(|image| image.read().unwrap().pixels()[0]);
+            frames.push((frame.stamp_ns, [0, 1].map(number)));
         }
     }
     frames

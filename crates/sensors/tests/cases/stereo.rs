@@ -54,7 +54,7 @@ fn images_of_a_folder_pair_in_the_same_way_and_their_tracks_with_them() {
     let control = Made::new(&messages(2), &CAMERAS);
     let mut sequence = Sequence::open(&control.path).unwrap();
     for (index, frame) in sequence.frames.iter_mut().enumerate() {
-        frame.images = [None, None];
+        frame.images.clear();
         let track = |camera| sensors::TrackObservation {
             camera,
             feature_id: index as u64,

@@ -32,13 +32,13 @@ pub enum WriteImagesError {
 /// [`ImageError`]: an image cannot be read; simulated ones always can.
 pub fn render_all(sequence: &mut Sequence, progress: impl FnMut(usize, usize)) -> Result<(), ImageError> {
     let places = places(sequence);
-    let read = |(frame, camera): Place| match &sequence.frames[frame].images[camera] {
-        Some(image) => Ok(Some(ImageData::from(image.read()?.into_owned()))),
-        None => Ok(None),
+    let read = |(frame, camera): Place| {
+        let image = &sequence.frames[frame].images[&camera];
+        image.read().map(|image| ImageData::from(image.into_owned()))
     };
     let images = on_all_processors(&places, read, progress)?;
     for ((frame, camera), image) in images {
-        sequence.frames[frame].images[camera] = image;
+        sequence.frames[frame].images.insert(camera, image);
     }
     Ok(())
 }
@@ -61,7 +61,7 @@ pub fn write_images(
     }
     let write = |(frame, camera): Place| -> Result<(), WriteImagesError> {
         let frame = &sequence.frames[frame];
-        let Some(image) = &frame.images[camera] else { return Ok(()) };
+        let image = &frame.images[&camera];
         image.read()?.write(&folder(camera).join(writer::image_name(frame.stamp_ns, Some(image))))?;
         Ok(())
     };
@@ -73,11 +73,8 @@ type Place = (usize, usize);
 
 /// Those of every image.
 fn places(sequence: &Sequence) -> Vec<Place> {
-    let of_frame = |(index, frame): (usize, &sensors::Frame)| {
-        let cameras: Vec<usize> = (0..2).filter(|camera| frame.images[*camera].is_some()).collect();
-        cameras.into_iter().map(move |camera| (index, camera))
-    };
-    sequence.frames.iter().enumerate().flat_map(of_frame).collect()
+    let frames = sequence.frames.iter().enumerate();
+    frames.flat_map(|(index, frame)| frame.images.keys().map(move |camera| (index, *camera))).collect()
 }
 
 /// Does something for each image; the first error ends it.

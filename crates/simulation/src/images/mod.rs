@@ -10,7 +10,7 @@
 //! let options = SimulationOptions { duration_s: Some(0.5), ..ImageOptions::simulation() };
 //! let recordings = simulate_images(&options, &ImageOptions::default())?;
 //! let frame = &recordings.live.frames[0];
-//! assert_eq!(frame.images[0].as_ref().unwrap().read()?.width(), 752);
+//! assert_eq!(frame.images[&0].read()?.width(), 752);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -130,7 +130,7 @@ pub fn simulate_images(
         };
         let frames = run::frame_stamps(options, &trajectory).map(|stamp_ns| Frame {
             stamp_ns,
-            images: [0, 1].map(|camera| Some(image(camera, stamp_ns))),
+            images: [0, 1].map(|camera| (camera, image(camera, stamp_ns))).into(),
             ..Frame::default()
         });
         run::with_readings(options, kind, &trajectory, &sensors, frames.collect())

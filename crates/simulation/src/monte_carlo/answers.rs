@@ -130,6 +130,7 @@ fn matched(
     Some(MapAnswer {
         map_version: 1,
         map_identity: 1,
+        camera: 0,
         keyframes: keyframes.collect(),
         held_at_query: Vec::new(),
         landmarks,

@@ -387,7 +387,7 @@ impl<'a> Player<'a> {
         let before = self.estimator.global_from_imu();
         let mut seen = answer.answer.clone();
         for landmark in &mut seen.landmarks {
-            landmark.pixel = self.estimator.still_pixel(queried, &landmark.pixel);
+            landmark.pixel = self.estimator.still_pixel(queried, 0, &landmark.pixel);
         }
         let report = self.estimator.map_update(queried, &seen)?;
         self.estimator.unpin(queried);

@@ -31,8 +31,8 @@ pub struct TrackerOptions {
     pub outliers: OutlierOptions,
     /// Preprocessing of the images.
     pub equalization: Equalization,
-    /// One mask per camera, of the size of its images; nothing is tracked where it is zero.
-    pub masks: [Option<GrayImage>; 2],
+    /// By camera: a mask of the size of its images; nothing is tracked where it is zero.
+    pub masks: Vec<Option<GrayImage>>,
     /// Maximum interval between two images, nanoseconds; after a longer one all tracks end.
     pub max_gap_ns: i64,
 }
@@ -46,7 +46,7 @@ impl Default for TrackerOptions {
             stereo: StereoOptions::default(),
             outliers: OutlierOptions::default(),
             equalization: Equalization::default(),
-            masks: [None, None],
+            masks: Vec::new(),
             max_gap_ns: 500_000_000,
         }
     }
@@ -65,13 +65,16 @@ impl TrackerOptions {
         self
     }
 
-    /// Sets the mask of a camera (0 or 1); nothing is tracked where it is zero.
-    ///
-    /// # Panics
-    /// If `camera` is not 0 or 1.
+    /// Sets the mask of a camera; nothing is tracked where it is zero.
     pub fn mask(mut self, camera: usize, mask: GrayImage) -> Self {
+        self.masks.resize(self.masks.len().max(camera + 1), None);
         self.masks[camera] = Some(mask);
         self
+    }
+
+    /// The mask of a camera, if it has one.
+    pub(super) fn mask_of(&self, camera: usize) -> Option<&GrayImage> {
+        self.masks.get(camera)?.as_ref()
     }
 
     /// Maximum interval between two images, nanoseconds; after a longer one all tracks end.

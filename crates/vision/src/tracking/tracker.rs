@@ -203,7 +203,7 @@ impl Tracker {
         for (mut track, found) in previous.tracks.into_iter().zip(found) {
             let Some(found) = found else { continue };
             let centre = found.warp.centre;
-            if !is_unmasked(self.options.masks[0].as_ref(), centre) || !spacing.is_free(centre) {
+            if !is_unmasked(self.options.mask_of(0), centre) || !spacing.is_free(centre) {
                 continue;
             }
             let Some(ray) = Ray::new(&self.camera, centre.cast()) else { continue };
@@ -275,7 +275,7 @@ impl Tracker {
     /// Fills grid cells below their quota with new corners.
     fn add_corners(&mut self, pyramid: &Pyramid, tracks: &mut Vec<Track>) {
         let existing: Vec<Vector2<f32>> = tracks.iter().map(Track::pixel).collect();
-        let mask = self.options.masks[0].as_ref();
+        let mask = self.options.mask_of(0);
         let corners =
             detect_corners(pyramid.base(), &existing, mask, self.options.points, &self.options.corners);
         let mut aligner = Aligner::new();
@@ -314,7 +314,7 @@ fn match_stereo(
             let guesses = in_turn.map_or(&guesses[..], |index| &guesses[index..=index]);
             find(guesses, options.stereo.alignment.levels)
         };
-        let found = found.filter(|found| is_unmasked(options.masks[1].as_ref(), found.pixel.cast()));
+        let found = found.filter(|found| is_unmasked(options.mask_of(1), found.pixel.cast()));
         track.unmatched =
             if found.is_some() || track.inverse_depth.is_some() { 0 } else { track.unmatched + 1 };
         track.inverse_depth = found.map(|found| found.inverse_depth);

@@ -126,7 +126,7 @@ fn render(sequence: &mut Sequence, run: &str, progress: &mut dyn FnMut(&str)) ->
 fn write_without_images(live: &Sequence) -> Result<()> {
     let mut recording = live.clone();
     for frame in &mut recording.frames {
-        frame.images = [None, None];
+        frame.images.clear();
     }
     writer::write(&recording, &live.root).context("the live recording was not written")
 }

@@ -41,7 +41,7 @@ pub(super) fn draw_all(
     files.truth = Some(truth);
     files.keyframes.clone_from(&mapped.keyframes);
     pictures.extend(draw_run(&files, &in_map.folder)?.pictures);
-    if let Some(image) = live.frames.get(live.frames.len() / 2).and_then(|frame| frame.images[0].as_ref()) {
+    if let Some(image) = live.frames.get(live.frames.len() / 2).and_then(|frame| frame.images.get(&0)) {
         let path = out.join("image.png");
         image.read()?.write(&path)?;
         pictures.push(path);

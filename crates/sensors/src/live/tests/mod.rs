@@ -149,7 +149,7 @@ fn play_with(mut buffer: LiveBuffer, mut script: Script, end_s: i64, busy_ms: i6
                 Some(Ready::Wheels(reading)) => played.wheels.push(reading),
                 Some(Ready::Frame(stamp_ns, frame)) => {
                     played.frames.push(stamp_ns);
-                    played.pairs += usize::from(frame.images.iter().all(Option::is_some));
+                    played.pairs += usize::from(frame.images.len() == 2);
                     let arrival = arrivals.iter().find(|(of, _)| *of == stamp_ns);
                     played.delays_ms.extend(arrival.map(|(_, at)| ms - at / MS));
                     free_ms = ms + busy_ms;

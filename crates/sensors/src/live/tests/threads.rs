@@ -32,7 +32,7 @@ fn what_drivers_hand_in_on_their_threads_comes_out_decoded() {
             SensorEvent::Imu(reading) => imu.push(reading),
             SensorEvent::Frame(frame) => {
                 assert!(imu.last().unwrap().stamp_ns <= frame.stamp_ns);
-                assert_eq!(frame.images[0].as_ref().unwrap().read().unwrap().width(), SIZE.0);
+                assert_eq!(frame.images[&0].read().unwrap().width(), SIZE.0);
                 frames += 1;
             }
             SensorEvent::Wheels(_) => unreachable!("there are none"),
