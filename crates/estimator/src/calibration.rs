@@ -138,11 +138,6 @@ impl Calibration {
         self.online.time_offset
     }
 
-    /// Whether the mounting of the cameras is estimated.
-    pub fn estimates_extrinsics(&self) -> bool {
-        self.online.extrinsics
-    }
-
     /// Whether rows of images have times of their own.
     pub fn has_rolling_shutter(&self) -> bool {
         self.online.readout_time || self.cameras.iter().any(|calibrated| calibrated.readout_s != 0.0)

@@ -112,8 +112,8 @@ pub struct Estimator {
     covariance: JointCovariance,
     tracks: TrackStore,
     msckf_settings: MsckfSettings,
-    /// Noise of the direction in which the cameras are mounted, rad.
-    sigma_mount_rad: f64,
+    /// What the pixels of a camera err by for long, rad.
+    lasting_error_rad: f64,
     odometry_update: OdometryUpdate,
     /// Reused memory of the last correction.
     correction: DVector<f64>,
@@ -195,7 +195,7 @@ impl Estimator {
                 learns_noise: config.adaptive_noise.tracks,
                 max_tracks: config.max_tracks,
             },
-            sigma_mount_rad: slam_update::sigma_mount_rad(&state.calibration),
+            lasting_error_rad: slam_update::lasting_error_rad(&state.calibration),
             landmark_gate: Gate::new(config.landmark_gate),
             contradiction_gate: Gate::new(CONTRADICTION_CONFIDENCE),
             frame_gate: Gate::new(config.frame_gate),

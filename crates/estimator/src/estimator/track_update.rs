@@ -127,7 +127,7 @@ impl Estimator {
         let mut report = self.msckf_update(update, in_state)?;
         let settings = SlamUpdateSettings {
             sigma_px: self.msckf_settings.sigma_px.hypot(slam_update::COMMON_ERROR_PX),
-            sigma_mount_rad: self.sigma_mount_rad,
+            lasting_error_rad: self.lasting_error_rad,
             first_estimates: self.config.first_estimates,
             gate: &self.msckf_settings.gate,
         };
