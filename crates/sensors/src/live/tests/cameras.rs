@@ -1,6 +1,7 @@
 //! Images: pairs, silence, frozen cameras, a reader that is too slow.
 
 use super::*;
+use geometry::Rotation;
 
 #[test]
 fn pairs_are_joined_within_the_tolerance_and_have_the_stamp_of_the_first() {
@@ -44,6 +45,42 @@ fn a_first_camera_that_stops_is_named_and_its_partner_is_not_used_alone() {
     assert!(played.named_s(Stream::Camera(0), FaultKind::Silent).unwrap() < 5.0);
     assert!(played.named_s(Stream::Camera(1), FaultKind::Unpaired).unwrap() < 5.0);
     assert_eq!(played.readings.len(), 1600);
+}
+
+/// Two cameras, of which the second looks back.
+fn play_rig(script: Script, end_s: i64) -> Played {
+    let mut calibration = calibration(2);
+    let back = Rotation::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
+    calibration.cameras[1].imu_from_camera = Pose::new(back, Vector3::zeros());
+    play_with(LiveBuffer::new(&calibration, &LiveSettings::images(&calibration)), script, end_s, 0)
+}
+
+#[test]
+fn cameras_that_see_different_things_and_are_triggered_apart_give_frames_of_their_own() {
+    let apart = on_time(2, 5).into_iter().map(|(at, message)| match message {
+        Message::Image(1, ..) => (at + 25 * MS, shifted(message, 25 * MS)),
+        message => (at, message),
+    });
+    let played = play_rig(apart.collect(), 6);
+    // The first image waits for what may be late, and more come meanwhile than may wait.
+    let missing: Vec<i64> = (0..200).filter(|k| !played.frames.contains(&(START_NS + k * 25 * MS))).collect();
+    assert!(missing.len() < 4 && missing.iter().all(|k| k * 25 < 200), "{missing:?}");
+    assert_eq!(played.pairs, 0);
+    assert_eq!(played.named_s(Stream::Camera(0), FaultKind::Unpaired), None);
+    // Each waits at most for the next image, which shows that there is none of the other camera.
+    assert!(played.delays_ms[10..].iter().all(|delay| *delay <= 25), "{:?}", played.delays_ms);
+}
+
+#[test]
+fn a_first_camera_that_stops_leaves_one_that_sees_something_else() {
+    let gone = 3 * SECOND..6 * SECOND;
+    let script = on_time(2, 8)
+        .into_iter()
+        .filter(|(at, message)| !matches!(message, Message::Image(0, ..)) || !gone.contains(at));
+    let played = play_rig(script.collect(), 9);
+    assert_eq!((played.frames.len(), played.pairs), (160, 100));
+    assert!(played.named_s(Stream::Camera(0), FaultKind::Silent).unwrap() < 5.0);
+    assert_eq!(played.named_s(Stream::Camera(1), FaultKind::Unpaired), None);
 }
 
 #[test]
