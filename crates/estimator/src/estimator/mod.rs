@@ -99,7 +99,7 @@ const OUTLIER_SIGMAS: f64 = 5.0;
 /// assert!(pose.pose.translation.norm() < 1e-9);
 /// assert!(pose.covariance[(3, 3)] > 0.0); // m^2
 /// assert!(estimator.global_from_imu().is_none()); // not yet localized in a map
-/// assert!(estimator.gravity_in_first_camera(clone).is_some());
+/// assert!(estimator.gravity_in_camera(clone, 0).is_some());
 /// # Ok::<(), estimator::EstimatorError>(())
 /// ```
 #[derive(Clone, Debug)]
