@@ -145,7 +145,7 @@ impl FrontEnd {
         };
         let mut observations = Vec::new();
         let mut report = FrontEndReport::default();
-        let (mut tracked, mut failed) = (0, Vec::new());
+        let (mut tracked, mut failed, mut rotation_errors) = (0, Vec::new(), Vec::new());
         for (found, group) in track_groups(&mut self.groups, frame, &gyroscope) {
             match found {
                 Ok(found) => {
@@ -153,16 +153,13 @@ impl FrontEnd {
                     report.continued += group.report().continued;
                     report.outliers += group.report().outliers;
                     observations.extend(found.observations);
-                    if let Some((error, seconds)) = found.rotation_error {
-                        self.bias_images += 1;
-                        let gain = (1.0 / self.bias_images as f64).max(BIAS_GAIN);
-                        self.gyroscope_bias += error * (gain / seconds);
-                        self.gyroscope_bias =
-                            self.gyroscope_bias.map(|value| value.clamp(-MAX_BIAS, MAX_BIAS));
-                    }
+                    rotation_errors.extend(found.rotation_error);
                 }
                 Err(error) => failed.push(error),
             }
+        }
+        for (error, seconds) in rotation_errors {
+            self.update_bias(&error, seconds);
         }
         if tracked == 0 {
             // A damaged image says more than a missing one.
@@ -176,6 +173,18 @@ impl FrontEnd {
             }
         }
         Ok(observations)
+    }
+
+    /// Averages the difference between the gyroscope's rotation and that of the images.
+    ///
+    /// # Arguments
+    /// * `rotation_error`: in the IMU frame, rad.
+    /// * `seconds`: the time in which it arose.
+    fn update_bias(&mut self, rotation_error: &Vector3<f64>, seconds: f64) {
+        self.bias_images += 1;
+        let gain = (1.0 / self.bias_images as f64).max(BIAS_GAIN);
+        self.gyroscope_bias += rotation_error * (gain / seconds);
+        self.gyroscope_bias = self.gyroscope_bias.map(|value| value.clamp(-MAX_BIAS, MAX_BIAS));
     }
 }
 

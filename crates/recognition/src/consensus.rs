@@ -9,6 +9,7 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::options::RecognitionOptions;
 use super::place::RecognizedPlace;
+use super::report::Hypothesis;
 use super::verification::{VerifiedKeyframe, distinct_features};
 
 /// 99.9 % of consistent poses have a smaller squared distance (chi-square, 6 degrees of freedom).
@@ -28,19 +29,19 @@ pub(crate) enum Consensus {
 ///
 /// # Arguments
 /// * `places`: from [`group_places`] of the same keyframes.
-/// * `log_ratios`: of the first places, the logarithm of the likelihood of the place over that of a picture that repeats.
+/// * `hypotheses`: what the first of them explain.
 pub(crate) fn find_consensus(
     mut verified: Vec<VerifiedKeyframe>,
     places: &[Vec<usize>],
-    log_ratios: &[f64],
+    hypotheses: &[Hypothesis],
     options: &RecognitionOptions,
 ) -> Consensus {
     let Some(winner) = places.first() else { return Consensus::Nothing };
     let winner_support = support(&verified, winner);
     let is_rival = |(number, rival): (usize, &Vec<usize>)| {
-        let is_less_likely = log_ratios
+        let is_less_likely = hypotheses
             .get(number)
-            .is_some_and(|log_ratio| log_ratios[0] - log_ratio >= options.min_fix_log_odds);
+            .is_some_and(|rival| hypotheses[0].log_odds() - rival.log_odds() >= options.min_fix_log_odds);
         let least = options.ambiguity_ratio * winner_support as f64;
         !is_less_likely && support(&verified, rival) as f64 >= least
     };

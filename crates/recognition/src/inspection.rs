@@ -15,7 +15,6 @@ use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::query::QueryError;
-use super::report::Hypothesis;
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare};
 
 /// The answer to a query, and the comparison with each candidate.
@@ -208,8 +207,7 @@ impl Inspector<'_> {
         }
         let places = group_places(&mut verified, self.options);
         let hypotheses = self.map.hypotheses(&self.image, &verified, &places, 0.0);
-        let log_ratios: Vec<f64> = hypotheses.iter().map(Hypothesis::log_odds).collect();
-        if let Consensus::Place(place) = find_consensus(verified, &places, &log_ratios, self.options) {
+        if let Consensus::Place(place) = find_consensus(verified, &places, &hypotheses, self.options) {
             let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].id;
             let place: HashSet<KeyframeId> = place.iter().map(id).collect();
             for keyframe in &mut inspected {

@@ -230,9 +230,7 @@ impl LoadedMap {
         let places = group_places(&mut verified, options);
         let log_prior_odds = self.aliasing_rate().log_odds();
         let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
-        let log_ratios: Vec<f64> =
-            hypotheses.iter().map(|place| place.coverage.log_likelihood_ratio()).collect();
-        let place = match find_consensus(verified, &places, &log_ratios, options) {
+        let place = match find_consensus(verified, &places, &hypotheses, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
                 strongest = Some(*place);

@@ -30,9 +30,9 @@ impl Estimator {
     /// A camera when it took a pixel, in its own frame at the time of the image; `None` where that is the same.
     fn image_from_row(&self, clone: CloneId, camera: usize, pixel: &Vector2<f64>) -> Option<Pose> {
         let index = self.state.clone_index(clone)?;
+        let imu_from_camera = self.camera(camera)?.imu_from_camera;
         let row = RowPose::of(&self.state, index, camera, pixel, Estimates::Newest);
         row.dependence?;
-        let imu_from_camera = self.camera(camera)?.imu_from_camera;
         let local_from_camera = self.state.clones[index].local_from_imu * imu_from_camera;
         Some(local_from_camera.inverse() * row.local_from_imu * imu_from_camera)
     }

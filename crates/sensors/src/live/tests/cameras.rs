@@ -2,6 +2,7 @@
 
 use super::*;
 use geometry::Rotation;
+use std::ops::Range;
 
 #[test]
 fn pairs_are_joined_within_the_tolerance_and_have_the_stamp_of_the_first() {
@@ -19,13 +20,19 @@ fn pairs_are_joined_within_the_tolerance_and_have_the_stamp_of_the_first() {
     }
 }
 
+/// Two cameras on time, one of which gives no image for a while.
+fn interrupted(seconds: i64, camera: usize, gone: &Range<i64>) -> Script {
+    let is_lost = |(at, message): &(i64, Message)| {
+        matches!(message, Message::Image(of, ..) if *of == camera) && gone.contains(at)
+    };
+    on_time(2, seconds).into_iter().filter(|message| !is_lost(message)).collect()
+}
+
 #[test]
 fn a_second_camera_that_stops_leaves_the_first_and_comes_back() {
     let gone = 3 * SECOND..7 * SECOND;
-    let script = on_time(2, 10)
-        .into_iter()
-        .filter(|(at, message)| !matches!(message, Message::Image(1, ..)) || !gone.contains(at));
-    let played = play(2, script.collect(), 10);
+    let script = interrupted(10, 1, &gone);
+    let played = play(2, script, 10);
     // Its first image finds its partner used already.
     assert_eq!((played.frames.len(), played.pairs), (200, 119));
     assert!(played.named_s(Stream::Camera(1), FaultKind::Silent).unwrap() < 5.0);
@@ -37,10 +44,8 @@ fn a_second_camera_that_stops_leaves_the_first_and_comes_back() {
 #[test]
 fn a_first_camera_that_stops_is_named_and_its_partner_is_not_used_alone() {
     let gone = 3 * SECOND..6 * SECOND;
-    let script = on_time(2, 8)
-        .into_iter()
-        .filter(|(at, message)| !matches!(message, Message::Image(0, ..)) || !gone.contains(at));
-    let played = play(2, script.collect(), 8);
+    let script = interrupted(8, 0, &gone);
+    let played = play(2, script, 8);
     assert_eq!((played.frames.len(), played.pairs), (100, 100));
     assert!(played.named_s(Stream::Camera(0), FaultKind::Silent).unwrap() < 5.0);
     assert!(played.named_s(Stream::Camera(1), FaultKind::Unpaired).unwrap() < 5.0);
@@ -74,10 +79,8 @@ fn cameras_that_see_different_things_and_are_triggered_apart_give_frames_of_thei
 #[test]
 fn a_first_camera_that_stops_leaves_one_that_sees_something_else() {
     let gone = 3 * SECOND..6 * SECOND;
-    let script = on_time(2, 8)
-        .into_iter()
-        .filter(|(at, message)| !matches!(message, Message::Image(0, ..)) || !gone.contains(at));
-    let played = play_rig(script.collect(), 9);
+    let script = interrupted(8, 0, &gone);
+    let played = play_rig(script, 9);
     assert_eq!((played.frames.len(), played.pairs), (160, 100));
     assert!(played.named_s(Stream::Camera(0), FaultKind::Silent).unwrap() < 5.0);
     assert_eq!(played.named_s(Stream::Camera(1), FaultKind::Unpaired), None);
