@@ -202,6 +202,9 @@ pub struct EstimatorConfig {
     pub sigma_transform_depth_fraction: f64,
     /// Lower bound of the prior standard deviation of its position, metres.
     pub sigma_transform_position_m: f64,
+    /// Standard deviation of the position in G, along its worst axis, that makes a robot localized, metres: a pose that is known
+    /// less well after its first answer is not given out yet. Maps whose landmarks are known to decimetres need more.
+    pub localized_sigma_m: f64,
     /// Number of consecutive verified answers rejected by the gates after which the status is lost and
     /// `global_from_local` is initialized again.
     pub lost_after_rejections: usize,
@@ -246,6 +249,7 @@ impl Default for EstimatorConfig {
             sigma_transform_rotation_rad: 0.3,
             sigma_transform_depth_fraction: 0.3,
             sigma_transform_position_m: 0.3,
+            localized_sigma_m: 0.15,
             lost_after_rejections: 5,
             max_active_keyframes: 24,
             max_held_keyframes: 5_000,
@@ -382,6 +386,7 @@ impl EstimatorConfig {
             ("sigma_transform_rotation_rad", self.sigma_transform_rotation_rad),
             ("sigma_transform_depth_fraction", self.sigma_transform_depth_fraction),
             ("sigma_transform_position_m", self.sigma_transform_position_m),
+            ("localized_sigma_m", self.localized_sigma_m),
         ];
         let of_wheels = self.wheels.iter().flat_map(WheelConfig::positive);
         match positive.into_iter().chain(of_wheels).find(|(_, value)| !(value.is_finite() && *value > 0.0)) {

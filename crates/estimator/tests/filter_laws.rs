@@ -27,10 +27,54 @@ fn run(world: &World, estimator: &mut Estimator, frames: std::ops::Range<i64>) {
 }
 
 #[test]
+fn a_pose_that_is_not_known_well_enough_is_not_claimed_until_answers_make_it_so() {
+    let coarsest = |estimator: &Estimator| {
+        estimator
+            .global_from_imu()
+            .unwrap()
+            .covariance
+            .fixed_view::<3, 3>(3, 3)
+            .symmetric_eigenvalues()
+            .max()
+            .sqrt()
+    };
+    let first = |needed_m: f64| {
+        let mut config = EstimatorConfig::default();
+        config.localized_sigma_m = needed_m;
+        let world = World::new();
+        let mut estimator = world.estimator(config);
+        let clone = world.frame(&mut estimator, 1);
+        assert!(accepted(&estimator.map_update(clone, &world.answer(1, 1, 1)).unwrap()));
+        (world, estimator)
+    };
+    let sigma = coarsest(&first(1.0).1);
+    for (needed_m, expected) in
+        [(1.01 * sigma, Localization::Localized), (0.99 * sigma, Localization::OdometryOnly)]
+    {
+        assert_eq!(first(needed_m).1.status().localization, expected);
+    }
+
+    let needed_m = 0.8 * sigma;
+    let (world, mut estimator) = first(needed_m);
+    let mut known = false;
+    for frame in 2..60 {
+        let clone = world.frame(&mut estimator, frame);
+        estimator.map_update(clone, &world.answer(frame, frame, frame as u64)).unwrap();
+        // Once known it stays so, however far the robot drives without the map.
+        known = known || coarsest(&estimator) <= needed_m;
+        let status = estimator.status();
+        assert_eq!(status.localization == Localization::Localized, known, "{status:?}");
+        assert!(known || status.reason.contains("m are needed"), "{status:?}");
+    }
+    assert!(known);
+}
+
+#[test]
 fn it_knows_where_it_is_in_every_mode() {
     for mode in [MapMode::Single, MapMode::Multi, MapMode::MapConst] {
         let mut config = EstimatorConfig::default();
         config.mode = mode;
+        config.localized_sigma_m = 0.3;
         let (world, estimator, frame) = localized(config);
         assert_eq!(estimator.status().localization, Localization::Localized);
         let truth = world.global_from_local * World::truth(frame);

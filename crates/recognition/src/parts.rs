@@ -13,10 +13,12 @@ pub struct PartResult<'a> {
     pub outcome: MatchOutcome,
     /// The place, or the strongest of those that were ambiguous.
     pub place: Option<&'a RecognizedPlace>,
+    /// Natural logarithm of the odds that the image is of the place, and not of a picture that repeats.
+    pub log_odds: f64,
 }
 
 /// Chooses the part whose place explains most features of the image, by the rules of a search in the whole map: another place that
-/// explains nearly as many makes the image ambiguous. Parts that overlap may find the same place.
+/// explains nearly as many and is not much less likely makes the image ambiguous. Parts that overlap may find the same place.
 ///
 /// # Returns
 /// The index of the part.
@@ -44,7 +46,9 @@ pub fn choose_part(parts: &[PartResult<'_>], options: &RecognitionOptions) -> Re
     let is_rival = |part: &PartResult<'_>| {
         part.place.is_some_and(|other| {
             let elsewhere = !is_consistent(&other.global_from_camera, &place.global_from_camera, options);
-            other.features as f64 >= least && (elsewhere || part.outcome == MatchOutcome::Ambiguous)
+            let is_less_likely = parts[winner].log_odds - part.log_odds >= options.min_fix_log_odds;
+            let explains_as_much = other.features as f64 >= least;
+            explains_as_much && !is_less_likely && (elsewhere || part.outcome == MatchOutcome::Ambiguous)
         })
     };
     if parts.iter().any(is_rival) { Err(MatchOutcome::Ambiguous) } else { Ok(winner) }
@@ -63,11 +67,31 @@ mod tests {
     }
 
     fn chosen(parts: &[(MatchOutcome, Option<RecognizedPlace>)]) -> Result<usize, MatchOutcome> {
+        let parts: Vec<_> = parts.iter().map(|(outcome, place)| (*outcome, place.clone(), 5.0)).collect();
+        chosen_by_odds(&parts)
+    }
+
+    fn chosen_by_odds(parts: &[(MatchOutcome, Option<RecognizedPlace>, f64)]) -> Result<usize, MatchOutcome> {
         let parts: Vec<_> = parts
             .iter()
-            .map(|(outcome, place)| PartResult { outcome: *outcome, place: place.as_ref() })
+            .map(|(outcome, place, log_odds)| PartResult {
+                outcome: *outcome,
+                place: place.as_ref(),
+                log_odds: *log_odds,
+            })
             .collect();
         choose_part(&parts, &RecognitionOptions::default())
+    }
+
+    #[test]
+    fn a_rival_that_is_much_less_likely_makes_nothing_ambiguous() {
+        use MatchOutcome::{Ambiguous, Matched};
+        let matched = |x, features, log_odds| (Matched, Some(place(x, features)), log_odds);
+        assert_eq!(chosen_by_odds(&[matched(0.0, 100, 6.0), matched(50.0, 80, 4.1)]), Err(Ambiguous));
+        assert_eq!(chosen_by_odds(&[matched(0.0, 100, 6.0), matched(50.0, 80, 4.0)]), Ok(0));
+        assert_eq!(chosen_by_odds(&[matched(0.0, 100, 4.0), matched(50.0, 80, 6.0)]), Err(Ambiguous));
+        let rival = (Ambiguous, Some(place(9.0, 80)), -3.0);
+        assert_eq!(chosen_by_odds(&[matched(0.0, 100, 4.0), rival]), Ok(0));
     }
 
     #[test]

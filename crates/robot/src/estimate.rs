@@ -2,7 +2,7 @@
 
 use super::counts::QuerySummary;
 use super::map_conversion::map_identity;
-use estimator::{Estimator, Motion, Status};
+use estimator::{Estimator, Localization, Motion, Status};
 use geometry::PoseWithCovariance;
 use protocol::MapIdentity;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -15,7 +15,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 pub struct Estimate {
     /// Pose, velocity and biases in the odometry frame L, with their covariance.
     pub motion: Motion,
-    /// The poses in the map, from the first match on. [`Estimate::trusted`] are those to be believed.
+    /// The poses in the map, from when they were known well enough first. [`Estimate::trusted`] are those to be believed.
     pub global: Option<GlobalEstimate>,
     /// Version of the map that the held keyframes belong to.
     pub map_version: Option<u64>,
@@ -49,7 +49,8 @@ impl Estimate {
     /// The estimate of now.
     pub(crate) fn of(estimator: &Estimator, status: &Status, computing_time: Duration) -> Self {
         let poses = estimator.global_from_imu().zip(estimator.global_from_local());
-        let global = poses.map(|(global_from_imu, global_from_local)| GlobalEstimate {
+        let is_known = matches!(status.localization, Localization::Localized | Localization::Lost);
+        let global = poses.filter(|_| is_known).map(|(global_from_imu, global_from_local)| GlobalEstimate {
             global_from_imu,
             global_from_local,
         });

@@ -11,9 +11,9 @@ use client::{CellClient, CellPlacement, CellReply, ClientError, ForwardedQuery};
 use protocol::{
     CellLocalizeReply, CellMatchReply, CellPlace, ErrorCode, ErrorReply, FeatureSet, KeyframeId,
     LocalizeReply, LocalizeRequest, MapIdentity, MatchOutcome, MatchReply, MatchRequest, MatchStatus,
-    Message, PosePrior, keys,
+    Message, PosePrior, PossiblePlace, keys,
 };
-use recognition::{PartResult, RecognitionOptions, RecognizedPlace, choose_part};
+use recognition::{MAX_HYPOTHESES, PartResult, RecognitionOptions, RecognizedPlace, choose_part};
 use releases::CellId;
 use tokio::task::JoinSet;
 use zenoh::query::Query;
@@ -132,14 +132,14 @@ impl RoutedMap {
             RoutedRequest::Localize(search) => {
                 let found = self.search::<CellLocalizeReply>(&directory, &forwarded, search).await?;
                 let (map_version, map_identity) = (directory.version(), directory.identity());
-                let nowhere = LocalizeReply {
-                    map_version,
-                    map_identity,
-                    outcome: found.outcome,
-                    fix: None,
-                    places: Vec::new(),
-                };
-                let reply = found.winner.map_or(nowhere, |winner| winner.reply);
+                let CellReplies { outcome, winner, others } = found;
+                let reply = winner.map_or_else(
+                    || {
+                        let places = likeliest_places(others);
+                        LocalizeReply { map_version, map_identity, outcome, fix: None, places }
+                    },
+                    |winner| winner.reply,
+                );
                 let key = keys::map_localize(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, vec![reply]).await
             }
@@ -232,7 +232,10 @@ impl RoutedMap {
             .collect();
         let results = replies.iter().zip(&places);
         let results: Vec<PartResult<'_>> = results
-            .map(|(reply, place)| PartResult { outcome: reply.outcome(), place: place.as_ref() })
+            .map(|(reply, place)| {
+                let (outcome, log_odds) = (reply.outcome(), reply.log_odds());
+                PartResult { outcome, place: place.as_ref(), log_odds }
+            })
             .collect();
         choose_part(&results, &self.options)
     }
@@ -302,6 +305,8 @@ impl<R> CellReplies<R> {
 trait PlaceReply: CellReply + Send + 'static {
     fn outcome(&self) -> MatchOutcome;
     fn place(&self) -> Option<&CellPlace>;
+    /// Natural logarithm of the odds of its place; zero without one.
+    fn log_odds(&self) -> f64;
     /// Of the map; `None` for an answer without an end.
     fn version(&self) -> Option<(MapIdentity, u64)>;
 }
@@ -313,6 +318,10 @@ impl PlaceReply for CellMatchReply {
 
     fn place(&self) -> Option<&CellPlace> {
         self.place.as_ref()
+    }
+
+    fn log_odds(&self) -> f64 {
+        status_of(&self.replies).map_or(0.0, |status| status.log_odds)
     }
 
     fn version(&self) -> Option<(MapIdentity, u64)> {
@@ -329,6 +338,10 @@ impl PlaceReply for CellLocalizeReply {
         self.place.as_ref()
     }
 
+    fn log_odds(&self) -> f64 {
+        self.reply.places.first().map_or(0.0, |place| place.log_odds)
+    }
+
     fn version(&self) -> Option<(MapIdentity, u64)> {
         Some((self.reply.map_identity, self.reply.map_version))
     }
@@ -342,6 +355,14 @@ fn status_of(replies: &[MatchReply]) -> Option<&MatchStatus> {
     })
 }
 
+/// The places that an image could be of according to all cells, the likeliest first, at most as many as one map lists.
+fn likeliest_places(replies: Vec<CellLocalizeReply>) -> Vec<PossiblePlace> {
+    let mut places: Vec<PossiblePlace> = replies.into_iter().flat_map(|reply| reply.reply.places).collect();
+    places.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+    places.truncate(MAX_HYPOTHESES);
+    places
+}
+
 /// The keyframes of the winner, if there is one, and an end for all cells together.
 fn match_replies(
     found: CellReplies<CellMatchReply>,
@@ -351,6 +372,9 @@ fn match_replies(
     let CellReplies { winner, others, .. } = found;
     let searched = winner.iter().chain(&others).filter_map(|reply| status_of(&reply.replies));
     status.searched_keyframes = searched.fold(0, |sum, status| sum.saturating_add(status.searched_keyframes));
+    if let Some(winner) = winner.as_ref().and_then(|winner| status_of(&winner.replies)) {
+        (status.log_odds, status.log_prior_odds) = (winner.log_odds, winner.log_prior_odds);
+    }
     let mut replies = winner.map_or_else(Vec::new, |winner| winner.replies);
     replies.retain(|reply| matches!(reply, MatchReply::Keyframe(_)));
     status.keyframes_sent = replies.len() as u16;

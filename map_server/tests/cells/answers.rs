@@ -54,6 +54,12 @@ async fn cells_at_several_servers_answer_as_one_map_through_the_loss_of_a_server
             continue;
         }
         matched += 1;
+        assert!(
+            answer.status.log_odds > 0.5 * expected.status.log_odds,
+            "{} for {}",
+            answer.status.log_odds,
+            expected.status.log_odds
+        );
         let count = |answer: &client::MatchAnswer| -> usize {
             answer.keyframes.iter().map(|keyframe| keyframe.matches.len()).sum()
         };

@@ -68,8 +68,8 @@ impl Output for Recorder {
         self.newest = Some(StateRow {
             stamp_ns: estimate.motion.stamp_ns,
             local_from_imu: estimate.motion.local_from_imu(),
-            global_from_local: estimate.global.map(|global| global.global_from_local),
-            global_from_imu: estimate.global.map(|global| global.global_from_imu),
+            global_from_local: estimate.trusted().map(|global| global.global_from_local),
+            global_from_imu: estimate.trusted().map(|global| global.global_from_imu),
         });
     }
 

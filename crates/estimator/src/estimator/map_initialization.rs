@@ -43,6 +43,7 @@ impl Estimator {
         if let Some(range) = self.state.range(Block::Transform) {
             self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
             self.state.transform = None;
+            self.known_in_map = false;
         }
     }
 

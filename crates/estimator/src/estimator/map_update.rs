@@ -130,6 +130,7 @@ impl Estimator {
                 } else {
                     self.note_support();
                 }
+                self.note_known();
             }
             Some(
                 Rejection::Far { .. }

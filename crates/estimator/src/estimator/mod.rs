@@ -140,6 +140,8 @@ pub struct Estimator {
     map_gravity: MapGravity,
     map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
+    /// Whether the position in G has been known well enough once since the map initialization.
+    known_in_map: bool,
     last_zero_velocity_ns: Option<i64>,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
@@ -223,6 +225,7 @@ impl Estimator {
             map_watch: MapWatch::default(),
             last_map_update_ns: None,
             last_zero_velocity_ns: None,
+            known_in_map: false,
             lost_after: None,
             health,
         })

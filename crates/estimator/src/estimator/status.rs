@@ -2,6 +2,7 @@
 
 use super::Estimator;
 use crate::map_update::first_fix::Waiting;
+use crate::map_update::map_fix::worst_sigmas;
 use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::map_watch::MapDrift;
 use crate::noise_adaptation::{NoiseBound, NoiseFault};
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Localization {
-    /// Odometry works; there is no pose in the map yet, or no map.
+    /// Odometry works; there is no pose in the map yet that is known well enough, or no map.
     OdometryOnly,
     /// There is a pose in the map.
     Localized,
@@ -48,6 +49,14 @@ pub enum StatusReason {
     /// The map has not corrected the pose yet.
     #[error("no match with the map yet")]
     NoMatchYet,
+    /// The map corrected the pose, but it is not known well enough yet to be given out.
+    #[error("the pose in the map is known to {sigma_m:.2} m; {needed_m} m are needed")]
+    Uncertain {
+        /// Standard deviation of the position along its worst axis, metres.
+        sigma_m: f64,
+        /// [`EstimatorConfig::localized_sigma_m`](crate::EstimatorConfig::localized_sigma_m).
+        needed_m: f64,
+    },
     /// Answers of the map may be of a picture that repeats.
     #[error("{0}")]
     NotDistinctive(Waiting),
@@ -109,6 +118,10 @@ impl Estimator {
             return (Localization::Lost, StatusReason::Contradicted { rejections });
         }
         match (&self.state.transform, self.lost_after, self.last_map_update_ns) {
+            (Some(_), _, Some(_)) if !self.known_in_map => {
+                let (sigma_m, needed_m) = (self.sigma_in_map(), self.config.localized_sigma_m);
+                (Localization::OdometryOnly, StatusReason::Uncertain { sigma_m, needed_m })
+            }
             (Some(_), _, Some(last_ns)) => {
                 let seconds_ago = (self.state.stamp_ns - last_ns) as f64 * 1e-9;
                 (Localization::Localized, StatusReason::MapUpdate { seconds_ago })
@@ -120,6 +133,18 @@ impl Estimator {
                 (Localization::OdometryOnly, reason)
             }
         }
+    }
+
+    /// Standard deviation of the position in G along its worst axis by the answers, metres, whatever the watch over the map says of
+    /// them; infinite without one.
+    fn sigma_in_map(&self) -> f64 {
+        self.filtered_global_from_imu().map_or(f64::INFINITY, |global| worst_sigmas(&global.covariance).1)
+    }
+
+    /// From the first answer on after which the position is known within
+    /// [`EstimatorConfig::localized_sigma_m`](crate::EstimatorConfig::localized_sigma_m), the robot is localized.
+    pub(super) fn note_known(&mut self) {
+        self.known_in_map = self.known_in_map || self.sigma_in_map() <= self.config.localized_sigma_m;
     }
 
     /// What contradicts the map or the sensors, and what to do about it.
