@@ -88,7 +88,12 @@ pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationErro
     let noise = noise.noise(path)?;
     check_positive(path, "rate_hz", yaml.rate_hz)?;
     check_positive(path, "gravity_magnitude", yaml.gravity_magnitude.unwrap_or(1.0))?;
-    Ok(ImuSensor { noise, rate_hz: yaml.rate_hz, gravity_magnitude: yaml.gravity_magnitude })
+    Ok(ImuSensor {
+        noise,
+        rate_hz: yaml.rate_hz,
+        gravity_magnitude: yaml.gravity_magnitude,
+        intrinsics: None,
+    })
 }
 
 /// Reads a camera's `sensor.yaml`. Of a rolling shutter, `line_delay` is the time from row to row, seconds, as in Kalibr's files.

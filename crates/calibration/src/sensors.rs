@@ -1,5 +1,6 @@
 //! The sensors of a robot: what they are, where they are mounted, and their noise.
 
+use crate::ImuIntrinsics;
 use geometry::CameraGroup;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
@@ -14,6 +15,9 @@ pub struct ImuSensor {
     pub rate_hz: f64,
     /// Magnitude of gravity at the place of the recording, m/s^2, where the calibration states it.
     pub gravity_magnitude: Option<f64>,
+    /// Scale, misalignment and g-sensitivity of its readings as they are recorded or come, where they are calibrated. Who takes readings in corrects
+    /// them, once: those that a recording or a live source yields are corrected.
+    pub intrinsics: Option<ImuIntrinsics>,
 }
 
 /// A camera and its mounting.

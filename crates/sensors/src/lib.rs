@@ -15,6 +15,7 @@
 //! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
 //! | `ros` (feature `ros`); `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
+//! | `imu_intake` | units, scale and misalignment of readings as they are taken in |
 //! | `imu_units` | [`ImuUnits`] of readings that are not in rad/s and m/s^2 |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
@@ -59,6 +60,7 @@ mod frame;
 mod gravity;
 mod image_check;
 mod imu_check;
+mod imu_intake;
 mod imu_units;
 pub mod live;
 mod memory;
@@ -81,6 +83,8 @@ mod rows;
 mod source;
 mod split_imu;
 mod stamps;
+#[cfg(feature = "ros")]
+mod static_transforms;
 mod stereo_check;
 mod stored;
 mod table;
@@ -92,7 +96,9 @@ mod tests;
 
 #[cfg(feature = "bags")]
 pub use bag::{BagCamera, BagError, BagSensors};
-pub use calibration::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
+pub use calibration::{
+    CameraSensor, ImuIntrinsics, ImuSensor, SensorCalibration, WheelSensor, camera_groups,
+};
 pub use calibration_files::CalibrationFiles;
 pub use error::{SensorError, SequenceError};
 pub use euroc::{

@@ -8,6 +8,7 @@ use super::{
     CalibrationFiles, Contents, Frame, ImuSample, PairCounts, RecordingSource, SensorCalibration, Sequence,
     SequenceError, TruthRow, WheelReading, gravity,
 };
+use geometry::Pose;
 use nalgebra::Vector3;
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
@@ -192,6 +193,17 @@ impl Recording<'_> {
             Storage::Memory(sequence) => Box::new(sequence.wheel_readings.iter().copied().map(Ok)),
         };
         Ok(self.within(rows, IMU_LEAD_NS))
+    }
+
+    /// Where a frame of the robot is on the IMU, by the `/tf_static` of a bag; `None` where that is not recorded.
+    ///
+    /// # Arguments
+    /// * `base`: name of the frame, `base_link` by REP-105.
+    pub fn imu_from_base(&self, base: &str) -> Option<Pose> {
+        match &self.storage {
+            Storage::Disk(stored) => stored.imu_from_base(base),
+            Storage::Memory(_) => None,
+        }
     }
 
     /// Whether there is ground truth.

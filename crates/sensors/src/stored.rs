@@ -9,6 +9,7 @@ use super::{
     CalibrationFiles, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration, Sequence,
     SequenceError, TruthRow, WheelReading, WheelReadings,
 };
+use geometry::Pose;
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,6 +40,11 @@ pub(crate) trait Stored: Debug + Send + Sync {
 
     /// What the readings are read from, for errors.
     fn readings_path(&self) -> PathBuf;
+
+    /// Where a frame of the robot is on the IMU, where the recording itself states that.
+    fn imu_from_base(&self, _base: &str) -> Option<Pose> {
+        None
+    }
 
     /// Whether there is ground truth.
     fn has_truth(&self) -> bool {

@@ -122,6 +122,7 @@ pub(crate) fn with_readings(
             noise: options.imu_noise,
             rate_hz: options.imu_rate_hz,
             gravity_magnitude: Some(GRAVITY),
+            intrinsics: None,
         }),
         imu_samples: imu.samples,
         wheels: None,

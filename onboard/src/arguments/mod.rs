@@ -286,7 +286,12 @@ mod tests {
 
     /// Sensors whose calibration states the local gravity.
     fn calibration() -> SensorCalibration {
-        let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: Some(9.79) };
+        let imu = ImuSensor {
+            noise: ImuNoise::default(),
+            rate_hz: 200.0,
+            gravity_magnitude: Some(9.79),
+            intrinsics: None,
+        };
         SensorCalibration { imu: Some(imu), cameras: Vec::new(), wheels: None }
     }
 

@@ -57,6 +57,9 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };
     let mut robot = args.robot.clone();
+    if let Some(imu_from_base) = recording.imu_from_base(&robot.body.frames.base_link) {
+        robot.body.imu_from_base = imu_from_base;
+    }
     robot.gravity_in_own_frame = maps.first().and_then(|(_, map)| gravity_in_own_frame(map));
     let has_map = !maps.is_empty();
     let mut server = (has_map || args.open).then(|| LocalServer::start(maps)).transpose()?;

@@ -28,8 +28,12 @@ enum Cameras {
 }
 
 enum Imu {
-    Kalibr(PathBuf),
-    Complete(ImuSensor),
+    /// `is_corrected`: its scale and misalignment are no more in the readings.
+    Kalibr {
+        file: PathBuf,
+        is_corrected: bool,
+    },
+    Complete(Box<ImuSensor>),
 }
 
 impl BagCalibration {
@@ -40,8 +44,17 @@ impl BagCalibration {
         cameras_hz: &[f64],
     ) -> Result<SensorCalibration, SequenceError> {
         let imu = match self.imu {
-            Some(Imu::Kalibr(file)) => Some(kalibr::read_imu(&file, imu_hz)?),
-            Some(Imu::Complete(imu)) => Some(imu),
+            Some(Imu::Kalibr { file, is_corrected }) => {
+                let mut imu = kalibr::read_imu(&file, imu_hz)?;
+                if is_corrected && imu.intrinsics.take().is_some() {
+                    tracing::warn!(
+                        "{}: scale and misalignment are not applied: Driftless recorded readings without them",
+                        file.display()
+                    );
+                }
+                Some(imu)
+            }
+            Some(Imu::Complete(imu)) => Some(*imu),
             None => None,
         };
         let sensor =
@@ -89,8 +102,8 @@ pub(super) fn read(
     };
     let imu = match (sensors.imu, files.imu) {
         (None, _) => None,
-        (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
-        (Some(_), None) => Some(Imu::Complete(imu_without_kalibr(bag, &root)?)),
+        (Some(_), Some(file)) => Some(Imu::Kalibr { file, is_corrected: recorded::is_own(bag) }),
+        (Some(_), None) => Some(Imu::Complete(Box::new(imu_without_kalibr(bag, &root)?))),
     };
     let wheels = wheels.and_then(|wheels| wheels.calibration(bag, sensors.imu));
     Ok(BagCalibration { cameras, readouts_s, imu, wheels, time_offset_ns })

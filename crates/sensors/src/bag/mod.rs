@@ -13,7 +13,6 @@ mod messages;
 mod recorded_calibration;
 mod recording;
 mod rows;
-mod static_transforms;
 mod topics;
 mod wheel_topic;
 

@@ -4,16 +4,19 @@ use super::accelerometer::interpolated;
 use super::calibration;
 use super::index::StampedTopic;
 use super::messages;
+use super::recorded_calibration::{imu_frame, static_transforms};
 use super::rows::{Cameras, FrameRows, readings};
 use super::topics::{BagSensors, wrong};
 use super::wheel_topic::WheelTopic;
+use crate::imu_intake::ImuIntake;
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError, WheelReading,
+    CalibrationFiles, Frame, ImuSample, PairCounts, SensorCalibration, SequenceError, WheelReading,
     WheelReadings, camera_groups,
 };
 use bags::Bag;
+use geometry::Pose;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -25,7 +28,7 @@ pub(crate) struct BagRecording {
     accelerometer: Option<Arc<StampedTopic>>,
     wheels: Option<(Arc<StampedTopic>, WheelTopic)>,
     cameras: Arc<Cameras>,
-    imu_units: ImuUnits,
+    imu_intake: ImuIntake,
     time_offset_ns: i64,
 }
 
@@ -83,7 +86,7 @@ impl BagRecording {
             accelerometer: accelerometer.map(Arc::new),
             wheels: wheels.map(|(topic, how)| (Arc::new(topic), how)),
             cameras: Arc::new(Cameras::new(cameras, &groups, files.pair_tolerance_ns())),
-            imu_units: files.imu_units,
+            imu_intake: ImuIntake::new(files.imu_units, calibration.imu.as_ref()),
             time_offset_ns,
         };
         Ok((recording, calibration))
@@ -103,8 +106,8 @@ impl Stored for BagRecording {
             }
             (None, _) => Box::new(std::iter::empty()),
         };
-        let units = self.imu_units;
-        Ok(Box::new(readings.map(move |reading| reading.map(|reading| units.in_si(reading)))))
+        let intake = self.imu_intake;
+        Ok(Box::new(readings.map(move |reading| reading.map(|reading| intake.take(reading)))))
     }
 
     fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
@@ -114,6 +117,11 @@ impl Stored for BagRecording {
 
     fn wheels_are(&self) -> WheelReadings {
         self.wheels.as_ref().map_or(WheelReadings::Speeds, |(_, how)| how.readings())
+    }
+
+    fn imu_from_base(&self, base: &str) -> Option<Pose> {
+        let imu = imu_frame(&self.bag, self.imu.as_ref()?.topic);
+        static_transforms(&self.bag).imu_from_base(&imu, base)
     }
 
     fn time_offset_ns(&self) -> i64 {

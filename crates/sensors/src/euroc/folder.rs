@@ -4,11 +4,12 @@ use super::camera_folder::FrameRows;
 use super::stamps::{FrameStamps, TableStamps};
 use super::tables::TimedRows;
 use crate::CalibrationFiles;
+use crate::imu_intake::ImuIntake;
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CameraSensor, Frame, ImuSample, ImuUnits, PairCounts, ReferencePose, SensorCalibration, SequenceError,
-    Table, TruthRow, WheelReading,
+    CameraSensor, Frame, ImuSample, PairCounts, ReferencePose, SensorCalibration, SequenceError, Table,
+    TruthRow, WheelReading,
 };
 use calibration::kalibr;
 use calibration::sensor_yaml;
@@ -31,7 +32,7 @@ pub(crate) struct Folder {
     wheels: Option<TableStamps>,
     truth: Option<TableStamps>,
     reference_poses: Option<TableStamps>,
-    imu_units: ImuUnits,
+    imu_intake: ImuIntake,
     time_offset_ns: i64,
 }
 
@@ -131,7 +132,7 @@ impl Folder {
             wheels: if_there(wheels_path(root)),
             truth: if_there(truth_path(root)),
             reference_poses: if_there(reference_path(root)),
-            imu_units: files.imu_units,
+            imu_intake: ImuIntake::new(files.imu_units, sensors.imu.as_ref()),
             time_offset_ns,
         };
         Ok((folder, sensors))
@@ -162,9 +163,9 @@ impl Stored for Folder {
         let Some(TableStamps { order, .. }) = &self.readings else {
             return Ok(Box::new(std::iter::empty()));
         };
-        let units = self.imu_units;
+        let intake = self.imu_intake;
         let rows = TimedRows::open_in_order(&self.readings_path(), order)?;
-        Ok(Box::new(rows.map(move |reading| reading.map(|reading| units.in_si(reading)))))
+        Ok(Box::new(rows.map(move |reading| reading.map(|reading| intake.take(reading)))))
     }
 
     fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {

@@ -71,6 +71,7 @@ fn sequence(seed: u64) -> Sequence {
             noise: ImuNoise::default(),
             rate_hz: 200.0,
             gravity_magnitude: stereo.then_some(9.808_084),
+            intrinsics: None,
         }),
         imu_samples: (0..50)
             .map(|index| ImuSample {
