@@ -134,6 +134,7 @@ impl Input {
             (Source::Recording, Some(sequence)) => {
                 let mut files = arguments.calibration.files();
                 arguments.robot.wheels.name_topic(&mut files);
+                arguments.robot.gnss.name_topic(&mut files)?;
                 Self::Recording(Box::new(Recording::open_with(sequence, &files)?))
             }
             (Source::Recording, None) => bail!("--sequence REC is missing"),

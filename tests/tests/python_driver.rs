@@ -28,6 +28,7 @@ fn calibration() -> SensorCalibration {
         imu: Some(imu),
         cameras: vec![CameraSensor::new(camera, Pose::identity(), 20.0)],
         wheels: None,
+        gnss: None,
     }
 }
 

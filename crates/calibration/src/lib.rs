@@ -2,7 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`], [`CameraSensor`] and [`WheelSensor`] |
+//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`], [`CameraSensor`], [`WheelSensor`] and [`GnssSensor`] |
 //! | `imu_intrinsics` | [`ImuIntrinsics`]: scale, misalignment and g-sensitivity |
 //! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
 //! | [`numbers`] | numbers as text that reads back exactly |
@@ -24,5 +24,5 @@ mod yaml;
 pub use error::CalibrationError;
 pub use imu_intrinsics::ImuIntrinsics;
 pub use sensor_yaml::{lens_of_text, read_lens};
-pub use sensors::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
+pub use sensors::{CameraSensor, GnssSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
 pub use yaml::{Lens, projection_yaml};

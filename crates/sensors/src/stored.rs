@@ -6,8 +6,8 @@ use super::image_check::ImageCheck;
 use super::imu_check::ImuCheck;
 use super::rows::Rows;
 use super::{
-    CalibrationFiles, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration, Sequence,
-    SequenceError, TruthRow, WheelReading, WheelReadings,
+    CalibrationFiles, Frame, GnssReading, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
+    Sequence, SequenceError, TruthRow, WheelReading, WheelReadings,
 };
 use geometry::Pose;
 use std::fmt::Debug;
@@ -30,6 +30,11 @@ pub(crate) trait Stored: Debug + Send + Sync {
     /// What the readings of the wheels are.
     fn wheels_are(&self) -> WheelReadings {
         WheelReadings::Speeds
+    }
+
+    /// The positions of GNSS, strictly increasing in time and finite; none without it.
+    fn gnss_readings(&self) -> Result<Rows<'static, GnssReading>, SequenceError> {
+        Ok(Box::new(std::iter::empty()))
     }
 
     /// What was added to the recorded stamps of the frames (ns).
@@ -150,7 +155,7 @@ impl Sequence {
         files: &CalibrationFiles,
         mut keep: impl FnMut(&ImuSample),
     ) -> Result<Self, SequenceError> {
-        let (stored, SensorCalibration { imu, cameras, wheels }) = open(root, files)?;
+        let (stored, SensorCalibration { imu, cameras, wheels, gnss }) = open(root, files)?;
         let mut clocks = ClockCheck::default();
         check_readings(&*stored, imu.as_ref(), |reading| {
             clocks.add_reading(reading.stamp_ns);
@@ -172,6 +177,8 @@ impl Sequence {
             imu_samples: Vec::new(),
             wheels,
             wheel_readings: stored.wheel_readings()?.collect::<Result<_, _>>()?,
+            gnss,
+            gnss_readings: stored.gnss_readings()?.collect::<Result<_, _>>()?,
             cameras,
             frames,
             groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),

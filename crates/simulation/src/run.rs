@@ -127,6 +127,8 @@ pub(crate) fn with_readings(
         imu_samples: imu.samples,
         wheels: None,
         wheel_readings: Vec::new(),
+        gnss: None,
+        gnss_readings: Vec::new(),
         cameras: cameras.to_vec(),
         frames,
     }

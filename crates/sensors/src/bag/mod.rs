@@ -6,6 +6,7 @@ mod accelerometer;
 mod calibration;
 mod camera_topics;
 mod foxglove;
+mod gnss_topic;
 mod image;
 mod imu_topics;
 mod index;
