@@ -7,7 +7,7 @@
 //! | `cli` (feature `ros`) | the command line of `onboard`, and its settings file |
 //! | [`program`] | [`run_robot`] and its kin: builds a [`robot::Robot`] from the switches, scores the run, writes the output folder |
 //! | [`start`] | initial state and excerpt of a recording |
-//! | [`native`], `ros_sensors`, `ros_camera_info`, `topic_watch` (feature `ros`) | live sensors over Zenoh, as ROS 2 topics; projections of their cameras; why a topic is silent |
+//! | [`native`], `ros_sensors`, `ros_camera_info`, `ros_mount`, `topic_watch` (feature `ros`) | live sensors over Zenoh, as ROS 2 topics; projections of their cameras; where the robot is on its IMU; why a topic is silent |
 //! | [`outputs`] | each a [`robot::Output`]: files, messages, ROS 2 topics, recordings, metrics, the status in the log; the summary |
 //! | [`progress`], [`stdout`], [`stop`] | terminal and signals |
 //!
@@ -36,6 +36,8 @@ pub mod program;
 pub mod progress;
 #[cfg(feature = "ros")]
 pub mod ros_camera_info;
+#[cfg(feature = "ros")]
+pub mod ros_mount;
 #[cfg(feature = "ros")]
 pub mod ros_sensors;
 pub mod start;

@@ -5,13 +5,14 @@ use anyhow::{Context as _, Result, bail};
 use client::session::{Member, Role, close_session, open_session};
 use client::{SessionOptions, without_secrets};
 use estimator::MapMode;
-use geometry::Camera;
+use geometry::{Camera, Pose};
 use monitoring::{MonitoringServer, start_log};
 use onboard::arguments::{DEFAULT_ROBOT, LiveArguments, Source};
 use onboard::cli::Arguments;
 use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
 use onboard::ros_camera_info::wait_for_cameras;
+use onboard::ros_mount::wait_for_base;
 use onboard::ros_sensors::{RosSensors, RosTopics};
 use onboard::stop::NetworkRuntime;
 use onboard::{
@@ -67,24 +68,19 @@ fn localize() -> Result<()> {
         Some(address) => Some(runtime.block_on(start_monitoring(address, &arguments.robot.metrics))?),
         None => None,
     };
-    let ros = arguments
-        .ros
-        .settings(
-            &arguments.robot.robot,
-            arguments.robot.map_mode()? != MapMode::Odometry,
-            &arguments.robot.initial_poses,
-        )?
-        .map(|settings| RosOutput::start(settings, runtime.handle()))
-        .transpose()
-        .context("--ros2")?;
-    let (topics, ros_task) = ros.unzip();
+    let input = Input::open(&arguments, &stop, &runtime)?;
+    let body = arguments.ros.body(input.imu_from_base(&arguments, &stop, &runtime)?)?;
+    let map_expected = arguments.robot.map_mode()? != MapMode::Odometry;
+    let settings =
+        arguments.ros.settings(&body, &arguments.robot.robot, map_expected, &arguments.robot.initial_poses);
+    let ros = settings.map(|settings| RosOutput::start(settings, runtime.handle())).transpose();
+    let (topics, ros_task) = ros.context("--ros2")?.unzip();
     arguments.robot.ros = topics;
-    arguments.robot.body = arguments.ros.body()?;
-    let outcome = match (arguments.source, &arguments.sequence) {
-        (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
-        (Source::Recording, None) => bail!("--sequence REC is missing"),
-        (Source::Native, _) => play_native(&stop, &arguments, &runtime)?,
-        (Source::Ros2, _) => play_ros2(&stop, &arguments, &runtime)?,
+    arguments.robot.body = body;
+    let outcome = match input {
+        Input::Recording(recording) => play_recording(&stop, *recording, &arguments, &runtime)?,
+        Input::Native => play_native(&stop, &arguments, &runtime)?,
+        Input::Ros2(input) => play_ros2(&stop, *input, &arguments, &runtime)?,
     };
     arguments.robot.ros = None;
     if let Some(task) = ros_task {
@@ -117,15 +113,80 @@ fn map_of(arguments: &Arguments) -> Result<Option<&str>> {
     }
 }
 
+/// Where measurements come from.
+enum Input {
+    Recording(Box<Recording<'static>>),
+    Native,
+    Ros2(Box<RosInput>),
+}
+
+/// The topics of ROS 2, and the session that they come over.
+struct RosInput {
+    topics: RosTopics,
+    session: zenoh::Session,
+    /// Calibration and settings, where the files alone state them.
+    from_files: Option<(SensorCalibration, LiveSettings)>,
+}
+
+impl Input {
+    fn open(arguments: &Arguments, stop: &StopSignal, runtime: &NetworkRuntime) -> Result<Self> {
+        Ok(match (arguments.source, &arguments.sequence) {
+            (Source::Recording, Some(sequence)) => {
+                let mut files = arguments.calibration.files();
+                arguments.robot.wheels.name_topic(&mut files);
+                arguments.robot.gnss.name_topic(&mut files)?;
+                Self::Recording(Box::new(Recording::open_with(sequence, &files)?))
+            }
+            (Source::Recording, None) => bail!("--sequence REC is missing"),
+            (Source::Native, _) => Self::Native,
+            (Source::Ros2, _) => Self::Ros2(Box::new(RosInput::open(arguments, stop, runtime)?)),
+        })
+    }
+
+    /// Where the robot's frame is on the IMU, as transforms state it; not looked for where nobody needs it.
+    fn imu_from_base(
+        &self,
+        arguments: &Arguments,
+        stop: &StopSignal,
+        runtime: &NetworkRuntime,
+    ) -> Result<Option<Pose>> {
+        let is_needed = arguments.ros.ros2 || arguments.robot.record.is_some();
+        if !is_needed || arguments.ros.imu_in_base_link.is_some() {
+            return Ok(None);
+        }
+        let base = &arguments.ros.frames.base_link;
+        match self {
+            Self::Recording(recording) => Ok(recording.imu_from_base(base)),
+            Self::Native => Ok(None),
+            Self::Ros2(input) => {
+                let RosInput { topics, session, .. } = &**input;
+                let node = arguments.ros.sensor_node();
+                runtime.block_on(wait_for_base(session.clone(), node, &topics.imu, base, stop))
+            }
+        }
+    }
+}
+
+impl RosInput {
+    fn open(arguments: &Arguments, stop: &StopSignal, runtime: &NetworkRuntime) -> Result<Self> {
+        let topics = RosTopics::of(&arguments.calibration, &arguments.robot.wheels)?;
+        let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
+        // Faults of the files are reported before the session is opened.
+        let from_files =
+            has_intrinsics.then(|| live_settings(arguments, &[], &topics.cameras)).transpose()?;
+        let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
+            bail!("interrupted before {} answered", arguments.ros.ros2_connect)
+        };
+        Ok(Self { topics, session, from_files })
+    }
+}
+
 fn play_recording(
     stop: &StopSignal,
-    sequence: &Path,
+    recording: Recording<'_>,
     arguments: &Arguments,
     runtime: &NetworkRuntime,
 ) -> Result<Outcome> {
-    let mut files = arguments.calibration.files();
-    arguments.robot.wheels.name_topic(&mut files);
-    let recording = Recording::open_with(sequence, &files)?;
     let link = opening_link(arguments, runtime)?;
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
@@ -190,14 +251,13 @@ fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntim
     outcome
 }
 
-fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
-    let topics = RosTopics::of(&arguments.calibration, &arguments.robot.wheels)?;
-    let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
-    // Faults of the files are reported before the session is opened.
-    let from_files = has_intrinsics.then(|| live_settings(arguments, &[], &topics.cameras)).transpose()?;
-    let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
-        bail!("interrupted before {} answered", arguments.ros.ros2_connect)
-    };
+fn play_ros2(
+    stop: &StopSignal,
+    input: RosInput,
+    arguments: &Arguments,
+    runtime: &NetworkRuntime,
+) -> Result<Outcome> {
+    let RosInput { topics, session, from_files } = input;
     let (calibration, mut settings) = if let Some(settings) = from_files {
         settings
     } else {

@@ -290,6 +290,7 @@ impl FinishedRun {
             learned_noise: report.learned_noise,
             readout_times_s: report.readout_times_s,
             wheels: report.wheels,
+            gnss: report.gnss,
             alarms: report.alarms,
             final_status: report.final_status,
             interrupted: matches!(report.ended_early, Some(RunError::Interrupted { .. })),

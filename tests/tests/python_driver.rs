@@ -22,11 +22,13 @@ fn calibration() -> SensorCalibration {
         centre: [32.0, 24.0],
         distortion: Distortion::None,
     };
-    let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None };
+    let imu =
+        ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None, intrinsics: None };
     SensorCalibration {
         imu: Some(imu),
         cameras: vec![CameraSensor::new(camera, Pose::identity(), 20.0)],
         wheels: None,
+        gnss: None,
     }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`], [`CameraSensor`] and [`WheelSensor`] |
+//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`], [`CameraSensor`], [`WheelSensor`] and [`GnssSensor`] |
+//! | `imu_intrinsics` | [`ImuIntrinsics`]: scale, misalignment and g-sensitivity |
 //! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
 //! | [`numbers`] | numbers as text that reads back exactly |
 //! | [`kalibr`] | Kalibr's camera chain and `imu.yaml`, and what OpenVINS, ORB-SLAM3, Basalt and Kimera write |
@@ -13,6 +14,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod error;
+mod imu_intrinsics;
 pub mod kalibr;
 pub mod numbers;
 pub mod sensor_yaml;
@@ -20,6 +22,7 @@ mod sensors;
 mod yaml;
 
 pub use error::CalibrationError;
+pub use imu_intrinsics::ImuIntrinsics;
 pub use sensor_yaml::{lens_of_text, read_lens};
-pub use sensors::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
+pub use sensors::{CameraSensor, GnssSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
 pub use yaml::{Lens, projection_yaml};

@@ -4,8 +4,10 @@
 //! first. The body frame is the IMU's, as in EuRoC.
 
 use crate::yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text, readout_time};
-use crate::{CalibrationError, CameraSensor, ImuSensor, WheelSensor, kalibr};
+use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, WheelSensor, kalibr};
 use geometry::camera::Camera;
+use geometry::{Geodetic, Pose, check_mount};
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -45,6 +47,15 @@ struct WheelsYaml {
     radius_right: f64,
     track: f64,
     noise: Option<f64>,
+}
+
+/// Antenna, frame and noise of GNSS.
+#[derive(Deserialize)]
+struct GnssYaml {
+    antenna: [f64; 3],
+    origin: Option<[f64; 3]>,
+    noise: Option<[f64; 3]>,
+    correlation_time: Option<f64>,
 }
 
 /// Intrinsics and distortion of a camera.
@@ -88,7 +99,12 @@ pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationErro
     let noise = noise.noise(path)?;
     check_positive(path, "rate_hz", yaml.rate_hz)?;
     check_positive(path, "gravity_magnitude", yaml.gravity_magnitude.unwrap_or(1.0))?;
-    Ok(ImuSensor { noise, rate_hz: yaml.rate_hz, gravity_magnitude: yaml.gravity_magnitude })
+    Ok(ImuSensor {
+        noise,
+        rate_hz: yaml.rate_hz,
+        gravity_magnitude: yaml.gravity_magnitude,
+        intrinsics: None,
+    })
 }
 
 /// Reads a camera's `sensor.yaml`. Of a rolling shutter, `line_delay` is the time from row to row, seconds, as in Kalibr's files.
@@ -127,6 +143,34 @@ pub fn read_wheels(path: &Path) -> Result<WheelSensor, CalibrationError> {
         imu_from_base: pose_from_matrix(path, "T_BS", &yaml.body_from_sensor.data)?,
         sigma_speed_rad_s: yaml.noise,
     })
+}
+
+/// Reads the `sensor.yaml` of GNSS: `antenna` in the IMU's frame (m), and where they are known `origin`, latitude and longitude (deg) and
+/// altitude (m) of the frame's, `noise`, east, north and up (m), and `correlation_time` (s).
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
+pub fn read_gnss(path: &Path) -> Result<GnssSensor, CalibrationError> {
+    let yaml: GnssYaml = parse(path, KIND, &read_text(path)?)?;
+    let antenna_in_imu = Vector3::from(yaml.antenna);
+    check_mount(&Pose::new(UnitQuaternion::identity(), antenna_in_imu))
+        .map_err(|error| CalibrationError::entry(path, format!("antenna: {error}")))?;
+    let origin = yaml.origin.map(|[latitude_deg, longitude_deg, altitude_m]| Geodetic {
+        latitude_deg,
+        longitude_deg,
+        altitude_m,
+    });
+    if origin.is_some_and(|origin| !origin.is_valid()) {
+        let problem =
+            "origin is no place on the earth: latitude and longitude in degrees, altitude in metres";
+        return Err(CalibrationError::entry(path, problem));
+    }
+    for sigma in yaml.noise.iter().flatten() {
+        check_positive(path, "noise", *sigma)?;
+    }
+    check_positive(path, "correlation_time", yaml.correlation_time.unwrap_or(1.0))?;
+    let (sigma_m, correlation_time_s) = (yaml.noise.map(Vector3::from), yaml.correlation_time);
+    Ok(GnssSensor { antenna_in_imu, origin, sigma_m, correlation_time_s })
 }
 
 /// Reads the projection of a camera: resolution, intrinsics and distortion, without the extrinsics.

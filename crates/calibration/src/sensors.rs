@@ -1,8 +1,10 @@
 //! The sensors of a robot: what they are, where they are mounted, and their noise.
 
-use geometry::CameraGroup;
+use crate::ImuIntrinsics;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
+use geometry::{CameraGroup, Geodetic};
+use nalgebra::Vector3;
 use types::ImuNoise;
 
 /// The inertial sensor. Its frame is the body frame.
@@ -14,6 +16,9 @@ pub struct ImuSensor {
     pub rate_hz: f64,
     /// Magnitude of gravity at the place of the recording, m/s^2, where the calibration states it.
     pub gravity_magnitude: Option<f64>,
+    /// Scale, misalignment and g-sensitivity of its readings as they are recorded or come, where they are calibrated. Who takes readings in corrects
+    /// them, once: those that a recording or a live source yields are corrected.
+    pub intrinsics: Option<ImuIntrinsics>,
 }
 
 /// A camera and its mounting.
@@ -71,6 +76,20 @@ impl WheelSensor {
     }
 }
 
+/// The antenna of GNSS, and the frame of its positions.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GnssSensor {
+    /// The antenna in the IMU frame, metres.
+    pub antenna_in_imu: Vector3<f64>,
+    /// Origin of the east-north-up frame that positions in latitude, longitude and altitude are turned to; without it they are
+    /// in that frame already.
+    pub origin: Option<Geodetic>,
+    /// Standard deviations along the axes of positions that state none, metres.
+    pub sigma_m: Option<Vector3<f64>>,
+    /// Time over which errors are alike, seconds, where it is stated.
+    pub correlation_time_s: Option<f64>,
+}
+
 /// Calibration of all sensors of a robot or of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorCalibration {
@@ -80,4 +99,6 @@ pub struct SensorCalibration {
     pub cameras: Vec<CameraSensor>,
     /// The wheels, where there are any and their geometry is known.
     pub wheels: Option<WheelSensor>,
+    /// The antenna of GNSS, where there is one.
+    pub gnss: Option<GnssSensor>,
 }

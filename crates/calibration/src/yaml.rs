@@ -279,15 +279,37 @@ pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<P
     }
     let matrix =
         Matrix3::new(data[0], data[1], data[2], data[4], data[5], data[6], data[8], data[9], data[10]);
-    let off = (matrix.transpose() * matrix - Matrix3::identity()).amax();
-    if off > ROTATION_TOLERANCE || matrix.determinant() < 0.0 {
-        return Err(wrong("its upper left 3x3 block is not a rotation"));
-    }
-    let rounded = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    let rotation = UnitQuaternion::new_normalize(rounded.into_inner());
+    let rotation =
+        rounded_rotation(matrix).ok_or_else(|| wrong("its upper left 3x3 block is not a rotation"))?;
     let pose = Pose::new(rotation, Vector3::new(data[3], data[7], data[11]));
     check_mount(&pose).map_err(|error| wrong(&error.to_string()))?;
     Ok(pose)
+}
+
+/// The rotation that a matrix is up to what files round; `None` where it is none.
+fn rounded_rotation(matrix: Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let off = (matrix.transpose() * matrix - Matrix3::identity()).amax();
+    let is_rotation = off <= ROTATION_TOLERANCE && matrix.determinant() > 0.0;
+    let rounded = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+    is_rotation.then(|| UnitQuaternion::new_normalize(rounded.into_inner()))
+}
+
+/// A matrix of 3 rows and columns.
+pub(crate) fn square3(path: &Path, key: &str, data: &[f64]) -> Result<Matrix3<f64>, CalibrationError> {
+    if data.len() != 9 || data.iter().any(|value| !value.is_finite()) {
+        return Err(CalibrationError::entry(
+            path,
+            format!("{key}: it must hold 9 finite numbers, row by row"),
+        ));
+    }
+    Ok(Matrix3::from_row_slice(data))
+}
+
+/// A rotation as a matrix of 3 rows and columns.
+pub(crate) fn rotation_of(path: &Path, key: &str, data: &[f64]) -> Result<Matrix3<f64>, CalibrationError> {
+    let rotation = rounded_rotation(square3(path, key, data)?)
+        .ok_or_else(|| CalibrationError::entry(path, format!("{key}: it is not a rotation")))?;
+    Ok(rotation.to_rotation_matrix().into_inner())
 }
 
 /// The text of a calibration file.

@@ -1,6 +1,7 @@
 //! All settings of the filter, with units and the reason for each default.
 
 use crate::calibration::{CalibratedCamera, OnlineCalibration};
+use crate::gnss::config::GnssConfig;
 use crate::wheels::config::WheelConfig;
 use geometry::CameraError;
 use serde::{Deserialize, Serialize};
@@ -169,6 +170,8 @@ pub struct EstimatorConfig {
     pub readout_times_s: Vec<f64>,
     /// The wheels of a differential drive; without it their readings are ignored.
     pub wheels: Option<WheelConfig>,
+    /// The antenna of GNSS; without it its positions are ignored.
+    pub gnss: Option<GnssConfig>,
     /// Noise of a tracked pixel, px.
     pub sigma_track_px: f64,
     /// Noise of a matched pixel in the current image, px.
@@ -235,6 +238,7 @@ impl Default for EstimatorConfig {
             camera_time_offset_s: 0.0,
             readout_times_s: Vec::new(),
             wheels: None,
+            gnss: None,
             sigma_track_px: 1.0,
             sigma_match_px: 1.0,
             sigma_map_px: None,
@@ -331,6 +335,7 @@ impl EstimatorConfig {
             ("landmark_gate", self.landmark_gate),
             ("frame_gate", self.frame_gate),
             ("wheels.noise.gate", self.wheels.map_or(self.frame_gate, |wheels| wheels.noise.gate)),
+            ("gnss.gate", self.gnss.map_or(self.frame_gate, |gnss| gnss.gate)),
         ] {
             if !(value > 0.0 && value < 1.0) {
                 return Err(ConfigError::NotAConfidence { setting, value });
@@ -338,8 +343,11 @@ impl EstimatorConfig {
         }
         let of_camera = ("camera_time_offset_s", self.camera_time_offset_s, MAX_TIME_OFFSET_S);
         let of_wheels = self.wheels.iter().flat_map(WheelConfig::limited);
+        let of_gnss = self.gnss.iter().flat_map(GnssConfig::limited);
         let readouts = self.readout_times_s.iter().map(|&value| ("readout_times_s", value, MAX_READOUT_S));
-        for (setting, value, limit) in std::iter::once(of_camera).chain(of_wheels).chain(readouts) {
+        for (setting, value, limit) in
+            std::iter::once(of_camera).chain(of_wheels).chain(of_gnss).chain(readouts)
+        {
             if !(value.is_finite() && value.abs() < limit) {
                 return Err(ConfigError::TooLarge { setting, value, limit });
             }
@@ -389,7 +397,9 @@ impl EstimatorConfig {
             ("localized_sigma_m", self.localized_sigma_m),
         ];
         let of_wheels = self.wheels.iter().flat_map(WheelConfig::positive);
-        match positive.into_iter().chain(of_wheels).find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+        let of_gnss = self.gnss.iter().flat_map(GnssConfig::positive);
+        let all = positive.into_iter().chain(of_wheels).chain(of_gnss);
+        match all.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
             Some((setting, value)) => Err(ConfigError::NotPositive { setting, value }),
             None => Ok(()),
         }

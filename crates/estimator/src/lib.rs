@@ -35,6 +35,7 @@
 //! | [`gate`] | chi-square tests |
 //! | [`noise_adaptation`] | noise of IMU, tracks and matches from the innovations |
 //! | [`wheels`] | wheel odometry: preintegration, measurement, slip |
+//! | [`gnss`] | positions by satellites: measurement, alignment, contradictions |
 //! | [`odometry`] | feature tracks: MSCKF update, SLAM features, zero-velocity update |
 //! | [`map_update`] | answers of the map: verification, linearization, versions |
 //! | [`initialization`] | initial state at rest (static) and in motion (dynamic) |
@@ -49,6 +50,7 @@ mod error;
 mod estimator;
 mod first_estimates;
 pub mod gate;
+pub mod gnss;
 pub mod health;
 pub mod imu;
 pub mod inertial_chain;
@@ -73,6 +75,10 @@ pub use config::{AdaptiveNoise, ConfigError, EstimatorConfig, InitialSigmas, Map
 pub use error::EstimatorError;
 pub use estimator::Estimator;
 pub use estimator::status::{Alarm, Localization, Status, StatusReason};
+pub use gnss::BadGnssReading;
+pub use gnss::config::GnssConfig;
+pub use gnss::report::GnssCounts;
+pub use gnss::watch::GnssFault;
 pub use health::Divergence;
 pub use imu::plausibility::ReadingCheck;
 pub use imu::{BadImuSample, ImuGap};
@@ -88,7 +94,7 @@ pub use motion::{Motion, MotionPredictor};
 pub use noise_adaptation::{LearnedNoise, NoiseBound, NoiseFault};
 pub use odometry::msckf_update::TrackReport;
 pub use state::CloneId;
-pub use types::{ImuNoise, ImuSample, KeyframeId, TrackObservation, WheelReading};
+pub use types::{GnssReading, ImuNoise, ImuSample, KeyframeId, TrackObservation, WheelReading};
 pub use wheels::config::{InitialWheelSigmas, WheelConfig, WheelNoise};
 pub use wheels::report::{Estimated, LearnedWheels, WheelCounts, WheelReport};
 pub use wheels::watch::{Wheel, WheelFault};

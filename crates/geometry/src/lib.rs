@@ -9,6 +9,7 @@
 //! | [`triangulation`] | landmarks from several views, with covariance |
 //! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, RANSAC, refinement |
 //! | [`robust`] | Huber's loss |
+//! | `geodetic` | [`Geodetic`], [`EnuFrame`]: positions on the earth, east, north and up of one of them |
 //! | [`numeric`] | numeric Jacobians for tests |
 //!
 //! # Conventions
@@ -23,6 +24,7 @@ pub mod camera;
 mod camera_groups;
 pub mod coordinate;
 pub mod covariance_check;
+mod geodetic;
 pub mod numeric;
 pub mod pnp;
 pub mod pose;
@@ -36,6 +38,7 @@ pub use camera::{
 };
 pub use camera_groups::{CameraGroup, camera_groups};
 pub use coordinate::{MAX_COORDINATE_M, is_coordinate};
+pub use geodetic::{EnuFrame, Geodetic};
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;
 pub use rotation::Rotation;

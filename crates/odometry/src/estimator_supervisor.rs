@@ -4,9 +4,9 @@
 //! last trusted pose. The pose in the map is not carried over; a new filter is localized by its own queries.
 
 use estimator::{
-    CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod,
-    InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, LearnedWheels, Localization,
-    Status, TrackObservation, WheelReading,
+    CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, GnssReading, ImuSample,
+    InitMethod, InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, LearnedWheels,
+    Localization, Status, TrackObservation, WheelReading,
 };
 use std::collections::VecDeque;
 
@@ -127,6 +127,13 @@ impl EstimatorSupervisor {
         match &mut self.phase {
             Phase::Initializing(initializer) => Ok(initializer.imu(sample)?),
             Phase::Running(estimator) => estimator.imu(sample),
+        }
+    }
+
+    /// Adds a position of GNSS. What the estimator refuses, it counts; before its initialization there is no odometry to align it with.
+    pub fn gnss(&mut self, reading: GnssReading) {
+        if let Phase::Running(estimator) = &mut self.phase {
+            let _ = estimator.gnss(reading);
         }
     }
 

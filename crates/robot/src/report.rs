@@ -9,7 +9,7 @@ use super::error::RunError;
 use super::event::Event;
 use super::map_conversion::map_identity;
 use estimator::{
-    Estimated, Estimator, EstimatorError, InitMethod, LearnedNoise, MapReport, Rejection, Status,
+    Estimated, Estimator, EstimatorError, GnssCounts, InitMethod, LearnedNoise, MapReport, Rejection, Status,
     TrackReport, WheelReport,
 };
 use protocol::MapIdentity;
@@ -68,6 +68,8 @@ pub struct RunReport {
     pub readout_times_s: Option<Vec<Estimated>>,
     /// What the wheels did, and their calibration at the end; `None` without them.
     pub wheels: Option<WheelReport>,
+    /// What GNSS did; `None` without it.
+    pub gnss: Option<GnssCounts>,
     /// Why the run ended before its source did.
     pub ended_early: Option<RunError>,
 }

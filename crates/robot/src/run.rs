@@ -343,6 +343,9 @@ impl<'a> Robot<'a> {
         for reading in self.events.take_wheels() {
             self.supervisor.wheels(reading);
         }
+        for reading in self.events.take_gnss() {
+            self.supervisor.gnss(reading);
+        }
         let tracks = self.initialize(frame.stamp_ns, tracks)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
             // Answers to queries of the last filter are of no use, but must not pile up.
@@ -434,6 +437,7 @@ impl<'a> Robot<'a> {
         self.report.learned_noise = self.supervisor.learned_noise();
         self.report.readout_times_s = self.supervisor.estimator().and_then(Estimator::readout_times);
         self.report.wheels = self.supervisor.estimator().and_then(Estimator::wheel_report);
+        self.report.gnss = self.supervisor.estimator().and_then(Estimator::gnss_counts);
         self.report.final_status = Some(self.status());
         // It publishes through the outputs.
         self.prediction = None;

@@ -3,7 +3,7 @@
 use super::estimate::StatusReport;
 use super::input::SensorFault;
 use super::run::Robot;
-use estimator::{Alarm, Estimator, NoiseFault, Status, StatusReason, WheelFault};
+use estimator::{Alarm, Estimator, GnssFault, NoiseFault, Status, StatusReason, WheelFault};
 use protocol::limits::MAX_TEXT_BYTES;
 use std::mem::{Discriminant, discriminant};
 
@@ -16,6 +16,7 @@ pub(crate) enum AlarmKind {
     Filter(Discriminant<Alarm>),
     Noise(Discriminant<NoiseFault>),
     Wheels(Discriminant<WheelFault>),
+    Gnss(Discriminant<GnssFault>),
     Sensor(SensorFault),
 }
 
@@ -24,6 +25,7 @@ impl AlarmKind {
         match alarm {
             Alarm::Noise(fault) => Self::Noise(discriminant(fault)),
             Alarm::Wheels(fault) => Self::Wheels(discriminant(fault)),
+            Alarm::Gnss(fault) => Self::Gnss(discriminant(fault)),
             other => Self::Filter(discriminant(other)),
         }
     }

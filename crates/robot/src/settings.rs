@@ -2,9 +2,9 @@
 
 use super::initial_pose::InitialPoses;
 use super::stop::StopSignal;
-use estimator::{EstimatorConfig, InitialState, WheelConfig};
+use estimator::{EstimatorConfig, GnssConfig, InitialState, WheelConfig};
 use geometry::rotation;
-use sensors::{SensorCalibration, WheelSensor};
+use sensors::{GnssSensor, SensorCalibration, WheelSensor};
 use std::time::Duration;
 use vision::tracking::TrackerOptions;
 
@@ -64,15 +64,23 @@ impl RobotSettings {
     }
 }
 
-/// The default settings of the estimator with noise and gravity as the calibration of the IMU states them, and the wheels that
-/// it states; `None` without an IMU.
+/// The default settings of the estimator with noise and gravity as the calibration of the IMU states them, the wheels and the antenna
+/// of GNSS that it states; `None` without an IMU.
 pub fn estimator_config(calibration: &SensorCalibration) -> Option<EstimatorConfig> {
     let imu = calibration.imu.as_ref()?;
     let mut config = EstimatorConfig::default();
     config.gravity = imu.gravity_magnitude.unwrap_or(config.gravity);
     config.imu_noise = imu.noise;
     config.wheels = calibration.wheels.as_ref().map(wheel_config);
+    config.gnss = calibration.gnss.as_ref().map(gnss_config);
     Some(config)
+}
+
+/// The default settings of GNSS with its antenna and the correlation of its errors.
+pub fn gnss_config(gnss: &GnssSensor) -> GnssConfig {
+    let mut config = GnssConfig::at(gnss.antenna_in_imu.into());
+    config.correlation_time_s = gnss.correlation_time_s.unwrap_or(config.correlation_time_s);
+    config
 }
 
 /// The default settings of wheels with their geometry and noise.

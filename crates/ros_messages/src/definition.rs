@@ -37,6 +37,13 @@ const REGION_OF_INTEREST: Fields = (
     "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
 );
 
+const NAV_SAT_STATUS: Fields = (
+    "sensor_msgs/NavSatStatus",
+    "int8 STATUS_UNKNOWN=-2\nint8 STATUS_NO_FIX=-1\nint8 STATUS_FIX=0\nint8 STATUS_SBAS_FIX=1\nint8 STATUS_GBAS_FIX=2\n\
+     uint16 SERVICE_UNKNOWN=0\nuint16 SERVICE_GPS=1\nuint16 SERVICE_GLONASS=2\nuint16 SERVICE_COMPASS=4\n\
+     uint16 SERVICE_GALILEO=8\nint8 status\nuint16 service\n",
+);
+
 pub(crate) const ODOMETRY: Definition = Definition {
     fields: "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
              geometry_msgs/TwistWithCovariance twist\n",
@@ -73,6 +80,12 @@ pub(crate) const IMU: Definition = Definition {
 pub(crate) const JOINT_STATE: Definition = Definition {
     fields: "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
     types: &[HEADER, TIME],
+};
+pub(crate) const NAV_SAT_FIX: Definition = Definition {
+    fields: "uint8 COVARIANCE_TYPE_UNKNOWN=0\nuint8 COVARIANCE_TYPE_APPROXIMATED=1\nuint8 COVARIANCE_TYPE_DIAGONAL_KNOWN=2\n\
+             uint8 COVARIANCE_TYPE_KNOWN=3\nstd_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\n\
+             float64 longitude\nfloat64 altitude\nfloat64[9] position_covariance\nuint8 position_covariance_type\n",
+    types: &[HEADER, TIME, NAV_SAT_STATUS],
 };
 pub(crate) const IMAGE: Definition = Definition {
     fields: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n\

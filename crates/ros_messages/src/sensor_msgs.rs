@@ -54,6 +54,40 @@ impl RosMessage for JointState {
     const DEFINITION: Definition = definition::JOINT_STATE;
 }
 
+/// `sensor_msgs/msg/NavSatStatus`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NavSatStatus {
+    /// -2 unknown, -1 no position, 0 without corrections, 1 and 2 with those of satellites and of the ground.
+    pub status: i8,
+    /// Bits of the systems that are used.
+    pub service: u16,
+}
+
+/// `sensor_msgs/msg/NavSatFix`: a position on WGS 84.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct NavSatFix {
+    /// Time of the position, and the frame of the antenna.
+    pub header: Header,
+    /// Whether there is a position.
+    pub status: NavSatStatus,
+    /// Degrees north.
+    pub latitude: f64,
+    /// Degrees east.
+    pub longitude: f64,
+    /// Above the ellipsoid, metres; NaN where it is not known.
+    pub altitude: f64,
+    /// East, north and up, m^2, by rows.
+    pub position_covariance: [f64; 9],
+    /// 0 unknown, 1 approximated, 2 the diagonal, 3 all of it.
+    pub position_covariance_type: u8,
+}
+
+impl RosMessage for NavSatFix {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/NavSatFix";
+    const TYPE_HASH: &'static str = "RIHS01_62223ab3fe210a15976021da7afddc9e200dc9ec75231c1b6a557fc598a65404";
+    const DEFINITION: Definition = definition::NAV_SAT_FIX;
+}
+
 /// `sensor_msgs/msg/Image`: pixels by rows.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {

@@ -3,7 +3,7 @@
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState};
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState, NavSatFix};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, definition};
 use sha2::{Digest as _, Sha256};
@@ -11,8 +11,17 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// `type_description_interfaces/FieldType`: numbers of plain types, of arrays and of sequences.
-const PLAIN: [(&str, u32); 7] =
-    [("uint8", 3), ("int32", 6), ("uint32", 7), ("float64", 11), ("bool", 15), ("byte", 16), ("string", 17)];
+const PLAIN: [(&str, u32); 9] = [
+    ("int8", 2),
+    ("uint8", 3),
+    ("uint16", 5),
+    ("int32", 6),
+    ("uint32", 7),
+    ("float64", 11),
+    ("bool", 15),
+    ("byte", 16),
+    ("string", 17),
+];
 const NESTED: u32 = 1;
 const ARRAY: u32 = 48;
 const SEQUENCE: u32 = 144;
@@ -71,6 +80,7 @@ fn is_of_ros<M: RosMessage>() {
 fn every_definition_has_the_hash_of_its_type() {
     is_of_ros::<Imu>();
     is_of_ros::<JointState>();
+    is_of_ros::<NavSatFix>();
     is_of_ros::<Image>();
     is_of_ros::<CompressedImage>();
     is_of_ros::<CameraInfo>();

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use ros_messages::geometry_msgs::{PoseWithCovarianceStamped, TransformStamped};
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState};
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState, NavSatFix};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{CdrError, RosMessage, decode, encode};
 
@@ -30,6 +30,7 @@ fn decode_within_bounds<M: RosMessage>(bytes: &[u8]) -> Result<M, CdrError> {
 fn decode_as_everything(bytes: &[u8]) {
     let _ = decode_within_bounds::<Imu>(bytes);
     let _ = decode_within_bounds::<JointState>(bytes);
+    let _ = decode_within_bounds::<NavSatFix>(bytes);
     let _ = decode_within_bounds::<Image>(bytes);
     let _ = decode_within_bounds::<CompressedImage>(bytes);
     let _ = decode_within_bounds::<CameraInfo>(bytes);
@@ -78,6 +79,7 @@ fn every_truncation_is_an_error<M: RosMessage>(message: &M) {
 fn truncated_messages_are_errors() {
     every_truncation_is_an_error(&diagnostics());
     every_truncation_is_an_error(&Imu::default());
+    every_truncation_is_an_error(&NavSatFix::default());
     let (name, velocity) = (vec!["left_wheel".into(), "right_wheel".into()], vec![1.0, 2.0]);
     every_truncation_is_an_error(&JointState { name, velocity, ..Default::default() });
     every_truncation_is_an_error(&Odometry { child_frame_id: "base_link".into(), ..Default::default() });

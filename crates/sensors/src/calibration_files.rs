@@ -3,6 +3,7 @@
 use crate::pairing::PAIR_TOLERANCE_NS;
 use crate::{ImuUnits, SequenceError};
 use calibration::kalibr::{is_camera_chain, is_imu, is_kimera_left, is_rig};
+use geometry::Geodetic;
 use std::path::{Path, PathBuf};
 
 /// Larger YAML files are no calibrations, bytes.
@@ -21,7 +22,7 @@ const FOLDERS: [&str; 3] = ["", "mav0", "dso"];
 /// files.cameras = Some("camchain-imucam.yaml".into());
 /// assert!(files.imu.is_none()); // as the recording states it
 /// ```
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct CalibrationFiles {
     /// `camchain-imucam.yaml`; for a bag also the folder of a calibration.
@@ -35,6 +36,10 @@ pub struct CalibrationFiles {
     pub accelerometer_topic: Option<String>,
     /// The topic of the wheels in a bag; without it they are not read.
     pub wheel_topic: Option<String>,
+    /// The topic of GNSS in a bag (`sensor_msgs/NavSatFix`); without it it is not read.
+    pub gnss_topic: Option<String>,
+    /// Origin of the frame that its positions are turned to.
+    pub gnss_origin: Option<Geodetic>,
     /// The joints of the left and of the right wheel in `sensor_msgs/JointState`; without them those that are named so.
     pub wheel_joints: Option<[String; 2]>,
     /// The topics of camera 0 and camera 1 in a bag; without them those of their type, in order of their names.

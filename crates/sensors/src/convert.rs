@@ -160,7 +160,7 @@ fn to_bag(
                 frames += 1;
                 progress(frames);
             }
-            SensorEvent::Wheels(_) | SensorEvent::Tick => {}
+            SensorEvent::Wheels(_) | SensorEvent::Gnss(_) | SensorEvent::Tick => {}
         }
     }
     bag.finish()?;
@@ -173,6 +173,7 @@ fn to_bag(
         (contents.tracks, "tracks"),
         (contents.features, "features"),
         (contents.wheels.is_some(), "the wheels"),
+        (contents.gnss, "GNSS"),
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();

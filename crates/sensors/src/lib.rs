@@ -16,6 +16,8 @@
 //! | `ros` (feature `ros`); `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
 //! | `imu_units` | [`ImuUnits`] of readings that are not in rad/s and m/s^2 |
+//! | `gnss_intake` | positions of GNSS as they are taken in: in the frame of the map, with a covariance |
+//! | `imu_intake` | units, scale and misalignment of readings as they are taken in |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
 //! | `table` | [`Table`], a CSV reader whose errors name file and line |
@@ -56,9 +58,11 @@ pub mod convert;
 mod error;
 mod euroc;
 mod frame;
+mod gnss_intake;
 mod gravity;
 mod image_check;
 mod imu_check;
+mod imu_intake;
 mod imu_units;
 pub mod live;
 mod memory;
@@ -73,6 +77,8 @@ pub mod ros;
 #[cfg(feature = "bags")]
 pub mod ros_bag;
 #[cfg(feature = "ros")]
+mod ros_gnss;
+#[cfg(feature = "ros")]
 mod ros_sensors;
 #[cfg(feature = "ros")]
 mod ros_wheels;
@@ -81,6 +87,8 @@ mod rows;
 mod source;
 mod split_imu;
 mod stamps;
+#[cfg(feature = "ros")]
+mod static_transforms;
 mod stereo_check;
 mod stored;
 mod table;
@@ -92,7 +100,9 @@ mod tests;
 
 #[cfg(feature = "bags")]
 pub use bag::{BagCamera, BagError, BagSensors};
-pub use calibration::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
+pub use calibration::{
+    CameraSensor, GnssSensor, ImuIntrinsics, ImuSensor, SensorCalibration, WheelSensor, camera_groups,
+};
 pub use calibration_files::CalibrationFiles;
 pub use error::{SensorError, SequenceError};
 pub use euroc::{
@@ -118,5 +128,5 @@ pub use stereo_check::check_stereo;
 pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, ReferencePosition, TruthRow, TruthTrack};
-pub use types::{ImuNoise, ImuSample, TrackObservation, WheelReading};
+pub use types::{GnssReading, ImuNoise, ImuSample, TrackObservation, WheelReading};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

@@ -1,8 +1,8 @@
 //! A recording in memory.
 
 use super::{
-    CameraSensor, Contents, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
-    TruthRow, WheelReading, WheelReadings, WheelSensor, camera_groups,
+    CameraSensor, Contents, Frame, GnssReading, GnssSensor, ImuSample, ImuSensor, PairCounts, ReferencePose,
+    SensorCalibration, TruthRow, WheelReading, WheelReadings, WheelSensor, camera_groups,
 };
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -22,6 +22,10 @@ pub struct Sequence {
     pub wheels: Option<WheelSensor>,
     /// Their readings, strictly increasing in time; empty without wheels.
     pub wheel_readings: Vec<WheelReading>,
+    /// The antenna of GNSS, where there is one and it is known.
+    pub gnss: Option<GnssSensor>,
+    /// Its positions, strictly increasing in time; empty without it.
+    pub gnss_readings: Vec<GnssReading>,
     /// The cameras; frames refer to them by index.
     pub cameras: Vec<CameraSensor>,
     /// The frames of the cameras, strictly increasing in time.
@@ -47,6 +51,7 @@ impl Sequence {
     pub fn contents(&self) -> Contents {
         let mut contents = Contents { frames: Some(0), ..Contents::default() };
         self.frames.iter().for_each(|frame| contents.add(frame));
+        contents.gnss = !self.gnss_readings.is_empty();
         contents.wheels = (!self.wheel_readings.is_empty()).then_some(WheelReadings::Speeds);
         contents
     }
@@ -68,7 +73,12 @@ impl Sequence {
 
     /// Calibration of the sensors.
     pub fn calibration(&self) -> SensorCalibration {
-        SensorCalibration { imu: self.imu.clone(), cameras: self.cameras.clone(), wheels: self.wheels }
+        SensorCalibration {
+            imu: self.imu.clone(),
+            cameras: self.cameras.clone(),
+            wheels: self.wheels,
+            gnss: self.gnss,
+        }
     }
 
     /// Unit direction of gravity in the frame of the ground truth; see

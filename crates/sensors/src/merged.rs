@@ -1,8 +1,8 @@
-//! Rows of IMU and wheels and frames, merged into one stream in order of time.
+//! Rows of IMU, wheels, GNSS and frames, merged into one stream in order of time.
 
 use super::{
-    Contents, Frame, ImuSample, PairCounts, Rows, SensorCalibration, SensorError, SensorEvent, SensorSource,
-    SequenceError, WheelReading,
+    Contents, Frame, GnssReading, ImuSample, PairCounts, Rows, SensorCalibration, SensorError, SensorEvent,
+    SensorSource, SequenceError, WheelReading,
 };
 use std::iter::Peekable;
 
@@ -14,6 +14,7 @@ pub struct RecordingSource<'a> {
     stereo_pairs: Option<PairCounts>,
     readings: Peekable<Rows<'a, ImuSample>>,
     wheels: Peekable<Rows<'a, WheelReading>>,
+    gnss: Peekable<Rows<'a, GnssReading>>,
     frames: Peekable<Rows<'a, Frame>>,
     failed: bool,
 }
@@ -24,11 +25,12 @@ impl<'a> RecordingSource<'a> {
         name: String,
         calibration: &'a SensorCalibration,
         (contents, stereo_pairs): (Contents, Option<PairCounts>),
-        readings: (Rows<'a, ImuSample>, Rows<'a, WheelReading>),
+        (readings, wheels, gnss): (Rows<'a, ImuSample>, Rows<'a, WheelReading>, Rows<'a, GnssReading>),
         frames: Rows<'a, Frame>,
     ) -> Self {
-        let (readings, wheels, frames) = (readings.0.peekable(), readings.1.peekable(), frames.peekable());
-        Self { name, calibration, contents, stereo_pairs, readings, wheels, frames, failed: false }
+        let (readings, frames) = (readings.peekable(), frames.peekable());
+        let (wheels, gnss) = (wheels.peekable(), gnss.peekable());
+        Self { name, calibration, contents, stereo_pairs, readings, wheels, gnss, frames, failed: false }
     }
 
     /// Whether the next event is a reading: one at the time of a frame comes before it, and an error of either comes
@@ -48,6 +50,22 @@ impl<'a> RecordingSource<'a> {
             Some(Ok(reading)) => reading.stamp_ns,
             other => return other.is_some(),
         };
+        let is_before = |position: &Result<GnssReading, SequenceError>| {
+            position.as_ref().map_or(true, |position| stamp_ns <= position.stamp_ns)
+        };
+        self.gnss.peek().is_none_or(is_before) && self.is_before_the_rest(stamp_ns)
+    }
+
+    /// The same of a position of GNSS.
+    fn gnss_is_next(&mut self) -> bool {
+        let stamp_ns = match self.gnss.peek() {
+            Some(Ok(reading)) => reading.stamp_ns,
+            other => return other.is_some(),
+        };
+        self.is_before_the_rest(stamp_ns)
+    }
+
+    fn is_before_the_rest(&mut self, stamp_ns: i64) -> bool {
         let (reading, frame) = (self.readings.peek(), self.frames.peek());
         let has_rest = reading.is_some() || frame.is_some();
         has_rest
@@ -58,6 +76,8 @@ impl<'a> RecordingSource<'a> {
     fn read_next(&mut self) -> Result<Option<SensorEvent>, SequenceError> {
         Ok(if self.wheels_are_next() {
             self.wheels.next().transpose()?.map(SensorEvent::Wheels)
+        } else if self.gnss_is_next() {
+            self.gnss.next().transpose()?.map(SensorEvent::Gnss)
         } else if self.reading_is_next() {
             self.readings.next().transpose()?.map(SensorEvent::Imu)
         } else {

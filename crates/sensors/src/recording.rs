@@ -5,9 +5,10 @@ use super::image_check::ImageCheck;
 use super::rows::{Rows, Stamped};
 use super::stored::{self, Stored};
 use super::{
-    CalibrationFiles, Contents, Frame, ImuSample, PairCounts, RecordingSource, SensorCalibration, Sequence,
-    SequenceError, TruthRow, WheelReading, gravity,
+    CalibrationFiles, Contents, Frame, GnssReading, ImuSample, PairCounts, RecordingSource,
+    SensorCalibration, Sequence, SequenceError, TruthRow, WheelReading, gravity,
 };
+use geometry::Pose;
 use nalgebra::Vector3;
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
@@ -89,6 +90,10 @@ impl Recording<'static> {
             reading?;
             contents.wheels = Some(stored.wheels_are());
         }
+        for reading in stored.gnss_readings()? {
+            reading?;
+            contents.gnss = true;
+        }
         stored.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {
             root: root.to_path_buf(),
@@ -152,7 +157,8 @@ impl Recording<'_> {
     /// # Errors
     /// [`SequenceError`] with the file that cannot be opened.
     pub fn source(&self) -> Result<RecordingSource<'_>, SequenceError> {
-        let (readings, frames) = ((self.imu_samples()?, self.wheel_readings()?), self.frames()?);
+        let readings = (self.imu_samples()?, self.wheel_readings()?, self.gnss_readings()?);
+        let frames = self.frames()?;
         let name = self.root.display().to_string();
         let about = (self.contents, self.stereo_pairs());
         Ok(RecordingSource::new(name, &self.calibration, about, readings, frames))
@@ -192,6 +198,29 @@ impl Recording<'_> {
             Storage::Memory(sequence) => Box::new(sequence.wheel_readings.iter().copied().map(Ok)),
         };
         Ok(self.within(rows, IMU_LEAD_NS))
+    }
+
+    /// The positions of GNSS in the frame of the map, strictly increasing in time; none without it.
+    ///
+    /// # Errors
+    /// [`SequenceError`] with the file.
+    pub fn gnss_readings(&self) -> Result<Rows<'_, GnssReading>, SequenceError> {
+        let rows: Rows<'_, GnssReading> = match &self.storage {
+            Storage::Disk(stored) => stored.gnss_readings()?,
+            Storage::Memory(sequence) => Box::new(sequence.gnss_readings.iter().copied().map(Ok)),
+        };
+        Ok(self.within(rows, IMU_LEAD_NS))
+    }
+
+    /// Where a frame of the robot is on the IMU, by the `/tf_static` of a bag; `None` where that is not recorded.
+    ///
+    /// # Arguments
+    /// * `base`: name of the frame, `base_link` by REP-105.
+    pub fn imu_from_base(&self, base: &str) -> Option<Pose> {
+        match &self.storage {
+            Storage::Disk(stored) => stored.imu_from_base(base),
+            Storage::Memory(_) => None,
+        }
     }
 
     /// Whether there is ground truth.

@@ -53,7 +53,7 @@ pub fn read_rig_calibration(
         CameraSensor { camera, imu_from_camera, rate_hz, readout_s }
     };
     let cameras = chain.cameras.into_iter().zip(chain.readouts_s).map(sensor).collect();
-    let sensors = SensorCalibration { imu, cameras, wheels: None };
+    let sensors = SensorCalibration { imu, cameras, wheels: None, gnss: None };
     Ok(FolderCalibration { sensors, time_offset_ns: chain.time_offset_ns, files })
 }
 

@@ -1,6 +1,6 @@
 //! Rows of a recording in order of time.
 
-use super::{Frame, ImuSample, ReferencePose, SequenceError, TruthRow, WheelReading};
+use super::{Frame, GnssReading, ImuSample, ReferencePose, SequenceError, TruthRow, WheelReading};
 
 /// Rows of a recording in order of time, read one after the other. They end with the first error.
 pub type Rows<'a, T> = Box<dyn Iterator<Item = Result<T, SequenceError>> + 'a>;
@@ -21,4 +21,4 @@ macro_rules! stamped {
     )*};
 }
 
-stamped!(ImuSample, WheelReading, Frame, TruthRow, ReferencePose);
+stamped!(GnssReading, ImuSample, WheelReading, Frame, TruthRow, ReferencePose);

@@ -1,7 +1,7 @@
 //! Where a robot's measurements come from: [`SensorSource`].
 
 use super::live::LiveReport;
-use super::{Frame, ImuSample, PairCounts, SensorCalibration, SensorError, WheelReading};
+use super::{Frame, GnssReading, ImuSample, PairCounts, SensorCalibration, SensorError, WheelReading};
 use std::sync::mpsc::Receiver;
 
 /// A stream of IMU readings and camera frames in order of time, with the calibration of the sensors.
@@ -11,7 +11,7 @@ use std::sync::mpsc::Receiver;
 ///
 /// # Order
 /// Events come in order of their `stamp_ns`. A reading and a frame of the same time come in this order: once a frame
-/// was returned, every reading up to and including its time was returned before, of the IMU and of wheels. Readings are strictly increasing in
+/// was returned, every reading up to and including its time was returned before, of the IMU, of wheels and of GNSS. Readings are strictly increasing in
 /// time, and so are frames. The clocks of IMU and cameras are compared as they are: an offset between them is the
 /// consumer's to handle, who reads ahead as far as it needs (for a frame at time t: to the first reading at or after t
 /// plus the offset, so that the motion is known up to t).
@@ -108,6 +108,8 @@ pub enum SensorEvent {
     Imu(ImuSample),
     /// A reading of the wheels.
     Wheels(WheelReading),
+    /// A position of GNSS.
+    Gnss(GnssReading),
     /// What the cameras gave at one instant.
     Frame(Frame),
     /// Nothing: a live source without frames returns it a few times a second, so that its reader can look at
@@ -121,6 +123,7 @@ impl SensorEvent {
         match self {
             Self::Imu(sample) => Some(sample.stamp_ns),
             Self::Wheels(reading) => Some(reading.stamp_ns),
+            Self::Gnss(reading) => Some(reading.stamp_ns),
             Self::Frame(frame) => Some(frame.stamp_ns),
             Self::Tick => None,
         }
@@ -128,6 +131,7 @@ impl SensorEvent {
 }
 
 /// What a source has beside the IMU.
+#[expect(clippy::struct_excessive_bools, reason = "each is there or not, independently of the others")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Contents {
     /// Number of frames, where it is known beforehand; for a progress display.
@@ -140,6 +144,8 @@ pub struct Contents {
     pub features: bool,
     /// The readings of wheels, if there are any. They are used where the calibration states the geometry.
     pub wheels: Option<WheelReadings>,
+    /// Whether there are positions of GNSS.
+    pub gnss: bool,
 }
 
 /// What the readings of wheels are.

@@ -6,9 +6,10 @@ use super::image_check::ImageCheck;
 use super::imu_check::ImuCheck;
 use super::rows::Rows;
 use super::{
-    CalibrationFiles, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration, Sequence,
-    SequenceError, TruthRow, WheelReading, WheelReadings,
+    CalibrationFiles, Frame, GnssReading, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
+    Sequence, SequenceError, TruthRow, WheelReading, WheelReadings,
 };
+use geometry::Pose;
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -31,6 +32,11 @@ pub(crate) trait Stored: Debug + Send + Sync {
         WheelReadings::Speeds
     }
 
+    /// The positions of GNSS, strictly increasing in time and finite; none without it.
+    fn gnss_readings(&self) -> Result<Rows<'static, GnssReading>, SequenceError> {
+        Ok(Box::new(std::iter::empty()))
+    }
+
     /// What was added to the recorded stamps of the frames (ns).
     fn time_offset_ns(&self) -> i64;
 
@@ -39,6 +45,11 @@ pub(crate) trait Stored: Debug + Send + Sync {
 
     /// What the readings are read from, for errors.
     fn readings_path(&self) -> PathBuf;
+
+    /// Where a frame of the robot is on the IMU, where the recording itself states that.
+    fn imu_from_base(&self, _base: &str) -> Option<Pose> {
+        None
+    }
 
     /// Whether there is ground truth.
     fn has_truth(&self) -> bool {
@@ -144,7 +155,7 @@ impl Sequence {
         files: &CalibrationFiles,
         mut keep: impl FnMut(&ImuSample),
     ) -> Result<Self, SequenceError> {
-        let (stored, SensorCalibration { imu, cameras, wheels }) = open(root, files)?;
+        let (stored, SensorCalibration { imu, cameras, wheels, gnss }) = open(root, files)?;
         let mut clocks = ClockCheck::default();
         check_readings(&*stored, imu.as_ref(), |reading| {
             clocks.add_reading(reading.stamp_ns);
@@ -166,6 +177,8 @@ impl Sequence {
             imu_samples: Vec::new(),
             wheels,
             wheel_readings: stored.wheel_readings()?.collect::<Result<_, _>>()?,
+            gnss,
+            gnss_readings: stored.gnss_readings()?.collect::<Result<_, _>>()?,
             cameras,
             frames,
             groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),

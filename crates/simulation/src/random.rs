@@ -25,6 +25,7 @@ pub(crate) enum Purpose {
     MapChange = 13,
     Images = 14,
     Wheels = 15,
+    Gnss = 16,
 }
 
 /// The stream for one purpose of one run.

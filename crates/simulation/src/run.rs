@@ -122,10 +122,13 @@ pub(crate) fn with_readings(
             noise: options.imu_noise,
             rate_hz: options.imu_rate_hz,
             gravity_magnitude: Some(GRAVITY),
+            intrinsics: None,
         }),
         imu_samples: imu.samples,
         wheels: None,
         wheel_readings: Vec::new(),
+        gnss: None,
+        gnss_readings: Vec::new(),
         cameras: cameras.to_vec(),
         frames,
     }

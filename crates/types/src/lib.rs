@@ -5,6 +5,7 @@
 //! | `ids` | [`KeyframeId`], [`LandmarkId`] |
 //! | `imu` | [`ImuSample`], [`ImuNoise`] |
 //! | `wheels` | [`WheelReading`] |
+//! | `gnss` | [`GnssReading`] |
 //! | `track` | [`TrackObservation`], a feature that a front end follows |
 //! | [`descriptors`] | [`DescriptorKind`], [`DescriptorFormat`], [`Descriptors`] |
 //! | [`features`] | [`FeatureSet`], pixels and descriptors of one image |
@@ -15,6 +16,7 @@
 pub mod bounded;
 pub mod descriptors;
 pub mod features;
+mod gnss;
 mod ids;
 mod imu;
 mod track;
@@ -22,6 +24,7 @@ mod wheels;
 
 pub use descriptors::{DescriptorFormat, DescriptorKind, Descriptors};
 pub use features::FeatureSet;
+pub use gnss::GnssReading;
 pub use ids::{KeyframeId, LandmarkId};
 pub use imu::{ImuNoise, ImuSample};
 pub use track::TrackObservation;

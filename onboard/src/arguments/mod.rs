@@ -3,6 +3,7 @@
 mod calibration;
 mod choices;
 mod features;
+mod gnss;
 mod live;
 #[cfg(feature = "ros")]
 mod ros;
@@ -13,6 +14,7 @@ mod wheels;
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
 pub use features::FeatureArguments;
+pub use gnss::GnssArguments;
 pub use live::LiveArguments;
 #[cfg(feature = "ros")]
 pub use ros::{ImuInBaseLink, RosArguments};
@@ -118,6 +120,9 @@ pub struct RobotArguments {
     /// Wheels
     #[command(flatten)]
     pub wheels: WheelArguments,
+    /// GNSS
+    #[command(flatten)]
+    pub gnss: GnssArguments,
 
     /// How the estimator is initialized
     ///
@@ -201,7 +206,7 @@ impl RobotArguments {
     /// switches.
     ///
     /// # Arguments
-    /// * `contents`: wheels are used where the source has readings of them.
+    /// * `contents`: wheels and GNSS are used where the source has readings of them.
     ///
     /// # Errors
     /// There is no IMU, the settings file cannot be used, or a setting is out of range.
@@ -249,6 +254,7 @@ impl RobotArguments {
             config.readout_times_s.clone_from(&self.readout_time);
         }
         config.wheels = self.wheels.wheels(config.wheels, contents)?;
+        config.gnss = self.gnss.gnss(config.gnss, contents)?;
         config.validate().map_err(|reason| anyhow::anyhow!("settings of the estimator: {reason}"))?;
         let held = config.max_held_keyframes;
         if held > protocol::MAX_HELD_KEYFRAMES {
@@ -286,8 +292,13 @@ mod tests {
 
     /// Sensors whose calibration states the local gravity.
     fn calibration() -> SensorCalibration {
-        let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: Some(9.79) };
-        SensorCalibration { imu: Some(imu), cameras: Vec::new(), wheels: None }
+        let imu = ImuSensor {
+            noise: ImuNoise::default(),
+            rate_hz: 200.0,
+            gravity_magnitude: Some(9.79),
+            intrinsics: None,
+        };
+        SensorCalibration { imu: Some(imu), cameras: Vec::new(), wheels: None, gnss: None }
     }
 
     #[test]

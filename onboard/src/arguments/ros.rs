@@ -38,10 +38,10 @@ pub struct RosArguments {
     /// Names of the frames of IMU and cameras, whose mounting is published on /tf_static; none: a robot description has it
     #[arg(long, value_name = "IMU,CAM0,CAM1", default_value = "imu,cam0,cam1", help_heading = ROS)]
     pub sensor_frames: SensorFrames,
-    /// The IMU in base_link: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: base_link is the IMU]
-    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", default_value = "0,0,0,0,0,0", hide_default_value = true,
-        allow_hyphen_values = true, help_heading = ROS)]
-    pub imu_in_base_link: ImuInBaseLink,
+    /// The IMU in base_link: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: by /tf_static of the bag, or of ROS 2 with
+    /// --source ros2; else base_link is the IMU]
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", allow_hyphen_values = true, help_heading = ROS)]
+    pub imu_in_base_link: Option<ImuInBaseLink>,
 }
 
 /// The pose of the IMU in the robot's frame.
@@ -81,13 +81,17 @@ impl RosArguments {
 
     /// The frames of the robot.
     ///
+    /// # Arguments
+    /// * `stated`: `imu_from_base` as transforms state it; `--imu-in-base-link` comes before.
+    ///
     /// # Errors
     /// A frame of a sensor has the name of one of the robot.
-    pub fn body(&self) -> anyhow::Result<RosBody> {
+    pub fn body(&self, stated: Option<Pose>) -> anyhow::Result<RosBody> {
+        let given = self.imu_in_base_link.map(|ImuInBaseLink(base_from_imu)| base_from_imu.inverse());
         let body = RosBody {
             frames: self.frames.clone(),
             sensor_frames: self.sensor_frames.clone(),
-            imu_from_base: self.imu_in_base_link.0.inverse(),
+            imu_from_base: given.or(stated).unwrap_or_default(),
         };
         if let Some(name) = body.ambiguous_frame() {
             anyhow::bail!("--sensor-frames and --frames both name {name}: give the sensors other names");
@@ -98,39 +102,53 @@ impl RosArguments {
     /// The settings of the topics; `None` without `--ros2`.
     ///
     /// # Arguments
+    /// * `body`: the frames of the robot.
     /// * `robot`: its name, for diagnostics.
     /// * `map_expected`: whether the robot is to be localized in a map.
     /// * `initial_poses`: where the poses of `--initial-pose-topic` go.
-    ///
-    /// # Errors
-    /// As [`RosArguments::body`].
     pub fn settings(
         &self,
+        body: &RosBody,
         robot: &str,
         map_expected: bool,
         initial_poses: &InitialPoses,
-    ) -> anyhow::Result<Option<RosSettings>> {
-        if !self.ros2 {
-            return Ok(None);
-        }
-        Ok(Some(RosSettings {
+    ) -> Option<RosSettings> {
+        self.ros2.then(|| RosSettings {
             session: self.session(),
             domain: self.ros2_domain,
             namespace: self.ros2_namespace.clone(),
-            body: self.body()?,
+            body: body.clone(),
             robot: robot.to_owned(),
             map_expected,
             initial_pose: self
                 .initial_pose_topic
                 .clone()
                 .map(|topic| InitialPoseTopic { topic, poses: initial_poses.clone() }),
-        }))
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        ros: RosArguments,
+    }
+
+    #[test]
+    fn the_switch_comes_before_what_transforms_state() {
+        let given = |line: &[&str]| Line::try_parse_from([&["robot"], line].concat()).unwrap().ros;
+        let stated = Pose::new(UnitQuaternion::identity(), Vector3::new(0.1, 0.0, -0.3));
+        assert_eq!(given(&[]).body(None).unwrap().imu_from_base, Pose::identity());
+        assert_eq!(given(&[]).body(Some(stated)).unwrap().imu_from_base, stated);
+        let switched = given(&["--imu-in-base-link", "-1,0,0,0,0,0"]).body(Some(stated)).unwrap();
+        assert_eq!(switched.imu_from_base.translation, Vector3::x());
+        assert!(given(&["--sensor-frames", "odom"]).body(None).is_err());
+    }
 
     #[test]
     fn the_imu_in_base_link_is_read_as_in_urdf() {

@@ -1,7 +1,7 @@
 //! The summary of a run: `summary.json`.
 
 use super::status_word::status_word;
-use estimator::{Estimated, EstimatorConfig, LearnedNoise, Status, WheelReport};
+use estimator::{Estimated, EstimatorConfig, GnssCounts, LearnedNoise, Status, WheelReport};
 use evaluation::RunScore;
 use robot::Alarm;
 use robot::counts::{
@@ -100,6 +100,8 @@ pub struct Summary {
     pub readout_times_s: Option<Vec<Estimated>>,
     /// What the wheels did, and their calibration at the end with its standard deviations; none without them.
     pub wheels: Option<WheelReport>,
+    /// What GNSS did; none without it.
+    pub gnss: Option<GnssCounts>,
     /// What contradicted the sensors or the map, and what to do about it.
     pub alarms: Vec<Alarm>,
     /// Status at the end.

@@ -225,6 +225,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
         },
         map_change: None,
         wheels: None,
+        gnss: None,
         map: MapOptions {
             sigma_theta_rad: args.map_noise.0.to_radians(),
             sigma_p_m: args.map_noise.1,

@@ -46,6 +46,7 @@ pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
     let mut files = args.calibration.files();
     args.robot.wheels.name_topic(&mut files);
+    args.robot.gnss.name_topic(&mut files)?;
     let recording = Recording::open_with(&args.recording, &files)?;
     let maps = match (&args.map, args.robot.map_mode()?) {
         (_, MapMode::Odometry) => Vec::new(),
@@ -57,6 +58,9 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };
     let mut robot = args.robot.clone();
+    if let Some(imu_from_base) = recording.imu_from_base(&robot.body.frames.base_link) {
+        robot.body.imu_from_base = imu_from_base;
+    }
     robot.gravity_in_own_frame = maps.first().and_then(|(_, map)| gravity_in_own_frame(map));
     let has_map = !maps.is_empty();
     let mut server = (has_map || args.open).then(|| LocalServer::start(maps)).transpose()?;

@@ -11,21 +11,20 @@
 //! Camera models are `pinhole` (`none`, `radtan`, `equidistant`, `fov`), `ds`, `eucm` and `omni` (`radtan`, `none`), with Kalibr's order of
 //! intrinsics.
 //!
-//! Matrices are lists of rows, or as msckf_vio has them of 16 numbers. OpenVINS's `imu0` is read where its matrices of scale and
-//! misalignment are those of an ideal IMU. What other programs write is in `rigs` and `other_programs`.
+//! Matrices are lists of rows, or as msckf_vio has them of 16 numbers. The IMU is read by `imu_file`. What other programs write is in `rigs` and `other_programs`.
 
+mod imu_file;
 mod other_programs;
 mod rigs;
 mod topics;
 
+pub use imu_file::read_imu;
 pub use other_programs::is_kimera_left;
 pub use rigs::is_rig;
 pub use topics::{COMPRESSED, camera_topics, chosen_cameras, is_same_camera};
 
-use crate::yaml::{
-    Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text, readout_time,
-};
-use crate::{CalibrationError, ImuSensor};
+use crate::CalibrationError;
+use crate::yaml::{Lens, MatrixYaml, parse, pose_from_matrix, read_text, readout_time};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use serde::Deserialize;
@@ -35,14 +34,7 @@ use std::path::Path;
 const MAX_SHIFT_DIFFERENCE_S: f64 = 1e-3;
 /// Time shifts beyond this are mistakes: other units, or recordings of different times, seconds.
 const MAX_SHIFT_S: f64 = 10.0;
-/// Largest distance of the IMU from the body frame (metres, radians): they are meant to be the same.
-const BODY_TOLERANCE: f64 = 1e-6;
-
-/// Models of an IMU whose readings are taken as they are; OpenVINS's have matrices, which must be the identity.
-const IMU_MODELS: [&str; 3] = ["calibrated", "kalibr", "rpng"];
-
 const CHAIN: &str = "camera chain of Kalibr";
-const IMU: &str = "imu.yaml of Kalibr";
 
 #[derive(Deserialize)]
 struct ChainYaml {
@@ -88,60 +80,6 @@ struct CameraYaml {
     line_delay: f64,
     /// The topic of the images that the camera was calibrated with.
     rostopic: Option<String>,
-}
-
-#[derive(Deserialize)]
-struct ImuYaml {
-    update_rate: Option<f64>,
-    #[serde(rename = "T_i_b")]
-    imu_from_body: Option<MatrixYaml>,
-    #[serde(default)]
-    model: Option<String>,
-    /// OpenVINS's: matrices of gyroscope and accelerometer, rotations from the IMU to each, effect of gravity on the gyroscope.
-    #[serde(rename = "Tw")]
-    gyroscope: Option<MatrixYaml>,
-    #[serde(rename = "Ta")]
-    accelerometer: Option<MatrixYaml>,
-    #[serde(rename = "R_IMUtoGYRO")]
-    gyroscope_from_imu: Option<MatrixYaml>,
-    #[serde(rename = "R_IMUtoACC")]
-    accelerometer_from_imu: Option<MatrixYaml>,
-    #[serde(rename = "Tg")]
-    gravity_on_gyroscope: Option<MatrixYaml>,
-    #[serde(flatten)]
-    noise: NoiseYaml,
-}
-
-impl ImuYaml {
-    /// Refuses scale and misalignment: readings are taken as those of an ideal IMU.
-    fn check_ideal(&self, path: &Path) -> Result<(), CalibrationError> {
-        let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        for (name, matrix, ideal) in [
-            ("Tw", &self.gyroscope, identity),
-            ("Ta", &self.accelerometer, identity),
-            ("R_IMUtoGYRO", &self.gyroscope_from_imu, identity),
-            ("R_IMUtoACC", &self.accelerometer_from_imu, identity),
-            ("Tg", &self.gravity_on_gyroscope, [0.0; 9]),
-        ] {
-            if matrix.as_ref().is_some_and(|matrix| matrix.numbers() != ideal) {
-                let should = if name == "Tg" { "zero" } else { "the identity" };
-                return Err(CalibrationError::entry(
-                    path,
-                    format!(
-                        "{name} is not {should}: scale, misalignment and the effect of gravity are not applied to readings; \
-                         calibrate with --imu-models calibrated, or correct the readings and state {should}"
-                    ),
-                ));
-            }
-        }
-        Ok(())
-    }
-}
-
-/// `imu.yaml` as Kalibr's calibration of cameras and IMU writes it.
-#[derive(Deserialize)]
-struct ResultYaml {
-    imu0: ImuYaml,
 }
 
 /// The cameras of a chain.
@@ -316,50 +254,6 @@ pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, CalibrationE
     }
     let chain: ChainYaml = parse(path, CHAIN, text)?;
     lens(path, &chain.cam0, None)
-}
-
-/// Reads `imu.yaml`, as it goes into Kalibr or as it comes out.
-///
-/// # Arguments
-/// * `measured_hz`: readings a second, where the file does not state them.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, CalibrationError> {
-    let text = read_text(path)?;
-    if is_rig(&text) {
-        return Ok(rigs::read(path, &text)?.imu);
-    }
-    if other_programs::is_kimera_imu(&text) {
-        return crate::sensor_yaml::read_imu(path);
-    }
-    other_programs::check(path, &text)?;
-    let yaml = if text.lines().any(|line| line.starts_with("imu0:")) {
-        parse::<ResultYaml>(path, IMU, &text)?.imu0
-    } else {
-        parse::<ImuYaml>(path, IMU, &text)?
-    };
-    if let Some(model) = yaml.model.as_deref().filter(|model| !IMU_MODELS.contains(model)) {
-        return Err(CalibrationError::entry(
-            path,
-            format!(
-                "model \"{model}\" is unknown: known is calibrated (with identity matrices also OpenVINS's kalibr and rpng); \
-                 calibrate with --imu-models calibrated"
-            ),
-        ));
-    }
-    yaml.check_ideal(path)?;
-    if let Some(rows) = &yaml.imu_from_body {
-        let pose = pose_from_matrix(path, "T_i_b", rows.numbers())?;
-        if pose.rotation.angle() > BODY_TOLERANCE || pose.translation.norm() > BODY_TOLERANCE {
-            return Err(CalibrationError::entry(path, "T_i_b is not the identity: give the reference IMU"));
-        }
-    }
-    let Some(rate_hz) = yaml.update_rate.or(measured_hz) else {
-        return Err(CalibrationError::entry(path, "update_rate is missing: the readings a second"));
-    };
-    check_positive(path, "update_rate", rate_hz)?;
-    Ok(ImuSensor { noise: yaml.noise.noise(path)?, rate_hz, gravity_magnitude: None })
 }
 
 fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Result<Camera, CalibrationError> {

@@ -29,7 +29,7 @@ impl Estimator {
         self.insert_transform(&PoseWithCovariance::new(transform, Matrix6::from_diagonal(&variances)));
     }
 
-    /// Adds `global_from_local` to the state, independent of all else.
+    /// Adds `global_from_local` to the state, independent of all else, with the covariance of its error in the axes of L.
     pub(super) fn insert_transform(&mut self, transform: &PoseWithCovariance) {
         let independent = Dense::zeros(POSE_DIM, 0);
         let noise =

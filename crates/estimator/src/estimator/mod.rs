@@ -1,6 +1,7 @@
 //! The filter: its members, and its verbs in the files of this module.
 
 mod accessors;
+mod gnss_update;
 mod iterated_update;
 mod map_initialization;
 mod map_linearization;
@@ -20,6 +21,7 @@ use crate::config::{ConfigError, EstimatorConfig};
 use crate::covariance::JointCovariance;
 use crate::error::EstimatorError;
 use crate::gate::Gate;
+use crate::gnss::Gnss;
 use crate::health::Health;
 use crate::imu::ImuBuffer;
 use crate::initialization::static_init::InitialState;
@@ -140,7 +142,8 @@ pub struct Estimator {
     map_gravity: MapGravity,
     map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
-    /// Whether the position in G has been known well enough once since the map initialization.
+    last_gnss_update_ns: Option<i64>,
+    /// Whether the position in G has been known well enough once since its initialization.
     known_in_map: bool,
     last_zero_velocity_ns: Option<i64>,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
@@ -148,6 +151,7 @@ pub struct Estimator {
     health: Health,
     noise: NoiseAdaptation,
     wheels: Option<Box<WheelOdometry>>,
+    gnss: Option<Box<Gnss>>,
 }
 
 impl Estimator {
@@ -203,6 +207,7 @@ impl Estimator {
             frame_gate: Gate::new(config.frame_gate),
             noise: NoiseAdaptation::new(&config, None),
             wheels: config.wheels.map(WheelOdometry::new).map(Box::new),
+            gnss: config.gnss.map(Gnss::new).map(Box::new),
             config,
             imu: ImuBuffer::default(),
             state,
@@ -224,6 +229,7 @@ impl Estimator {
             map_gravity: MapGravity::default(),
             map_watch: MapWatch::default(),
             last_map_update_ns: None,
+            last_gnss_update_ns: None,
             last_zero_velocity_ns: None,
             known_in_map: false,
             lost_after: None,

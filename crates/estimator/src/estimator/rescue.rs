@@ -225,9 +225,13 @@ impl Estimator {
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
         fresh.map_watch = std::mem::take(&mut self.map_watch);
+        if let (Some(new), Some(old)) = (&mut fresh.gnss, &self.gnss) {
+            new.counts = old.counts;
+        }
         fresh.next_clone = self.next_clone;
         fresh.support = self.map_fixes.evidence();
         fresh.last_map_update_ns = Some(initial.stamp_ns);
+        fresh.known_in_map = self.known_in_map;
         fresh.insert_fixed_transform(motion);
         *self = fresh;
         Ok(())

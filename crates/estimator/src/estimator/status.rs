@@ -1,6 +1,7 @@
 //! Localization status.
 
 use super::Estimator;
+use crate::gnss::watch::GnssFault;
 use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_fix::worst_sigmas;
 use crate::map_update::map_gravity::GravityFault;
@@ -38,6 +39,12 @@ pub enum StatusReason {
     #[error("the map corrected the pose {seconds_ago:.1} s ago")]
     MapUpdate {
         /// Time since the last map update, seconds.
+        seconds_ago: f64,
+    },
+    /// GNSS corrected the pose, and the map did not since.
+    #[error("GNSS corrected the pose {seconds_ago:.1} s ago")]
+    GnssUpdate {
+        /// Time since then, seconds.
         seconds_ago: f64,
     },
     /// The map contradicted the pose, and `global_from_local` was removed.
@@ -78,6 +85,9 @@ pub enum Alarm {
     /// The wheels contradict cameras and IMU, or are silent.
     #[error(transparent)]
     Wheels(#[from] WheelFault),
+    /// GNSS contradicts the pose.
+    #[error(transparent)]
+    Gnss(#[from] GnssFault),
 }
 
 /// [`Localization`] and its reason.
@@ -117,14 +127,20 @@ impl Estimator {
         if let (Some(_), Some(rejections)) = (&self.state.transform, self.is_contradicted()) {
             return (Localization::Lost, StatusReason::Contradicted { rejections });
         }
-        match (&self.state.transform, self.lost_after, self.last_map_update_ns) {
+        let seconds_ago = |last_ns: i64| (self.state.stamp_ns - last_ns) as f64 * 1e-9;
+        let last = self.last_map_update_ns.max(self.last_gnss_update_ns);
+        match (&self.state.transform, self.lost_after, last) {
             (Some(_), _, Some(_)) if !self.known_in_map => {
                 let (sigma_m, needed_m) = (self.sigma_in_map(), self.config.localized_sigma_m);
                 (Localization::OdometryOnly, StatusReason::Uncertain { sigma_m, needed_m })
             }
-            (Some(_), _, Some(last_ns)) => {
-                let seconds_ago = (self.state.stamp_ns - last_ns) as f64 * 1e-9;
+            (Some(_), _, Some(last_ns)) if self.last_map_update_ns == Some(last_ns) => {
+                let seconds_ago = seconds_ago(last_ns);
                 (Localization::Localized, StatusReason::MapUpdate { seconds_ago })
+            }
+            (Some(_), _, Some(last_ns)) => {
+                let seconds_ago = seconds_ago(last_ns);
+                (Localization::Localized, StatusReason::GnssUpdate { seconds_ago })
             }
             (_, Some(rejections), _) => (Localization::Lost, StatusReason::Contradicted { rejections }),
             _ => {
@@ -152,7 +168,9 @@ impl Estimator {
         let gravity = self.map_gravity.fault().map(Alarm::from);
         let drift = self.map_watch.alarm().map(Alarm::from);
         let wheels = self.wheels.as_ref().and_then(|wheels| wheels.watch.fault()).map(Alarm::from);
-        gravity.into_iter().chain(drift).chain(self.noise.faults().map(Alarm::from)).chain(wheels).collect()
+        let gnss = self.gnss.as_ref().and_then(|gnss| gnss.watch.fault()).map(Alarm::from);
+        let of_noise = self.noise.faults().map(Alarm::from);
+        gravity.into_iter().chain(drift).chain(of_noise).chain(wheels).chain(gnss).collect()
     }
 
     /// Noise levels that the innovations would move below what is allowed: the covariance may be too large.
@@ -175,7 +193,7 @@ impl Estimator {
         {
             self.lost_after = Some(self.rejections_in_a_row);
             self.rejections_in_a_row = 0;
-            self.last_map_update_ns = None;
+            (self.last_map_update_ns, self.last_gnss_update_ns) = (None, None);
             self.remove_transform();
         }
     }

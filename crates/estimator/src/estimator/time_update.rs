@@ -73,6 +73,7 @@ impl Estimator {
         self.marginalize_old_clones();
         let clone = self.clone_pose(stamp_ns, &motion_before.unwrap_or_default());
         self.wheel_updates()?;
+        self.gnss_updates()?;
         Ok(clone)
     }
 

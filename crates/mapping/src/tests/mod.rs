@@ -73,6 +73,8 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
             imu_samples: Vec::new(),
             wheels: None,
             wheel_readings: Vec::new(),
+            gnss: None,
+            gnss_readings: Vec::new(),
             cameras: vec![CameraSensor::new(camera.clone(), imu_from_camera, 1.0)],
             frames: Vec::new(),
             groundtruth: None,

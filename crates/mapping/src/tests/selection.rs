@@ -56,6 +56,8 @@ fn sequence() -> Sequence {
         imu_samples: Vec::new(),
         wheels: None,
         wheel_readings: Vec::new(),
+        gnss: None,
+        gnss_readings: Vec::new(),
         cameras: vec![sensor(0.0), sensor(0.1)],
         frames: (0..FRAMES).map(frame).collect(),
         groundtruth: None,

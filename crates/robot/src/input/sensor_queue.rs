@@ -2,7 +2,7 @@
 
 use super::imu_window::{Checked, ImuWindow};
 use sensors::live::LiveReport;
-use sensors::{Frame, PairCounts, SensorError, SensorEvent, SensorSource, WheelReading};
+use sensors::{Frame, GnssReading, PairCounts, SensorError, SensorEvent, SensorSource, WheelReading};
 use std::collections::VecDeque;
 
 /// A frame waits for the reading after it for so long at most, nanoseconds of sensor time. An IMU that is silent for
@@ -11,6 +11,9 @@ const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
 
 /// Readings of the wheels that are read ahead at most; where no frame comes for longer, the oldest ones are dropped.
 const MAX_WHEEL_READINGS: usize = 1 << 16;
+
+/// The same of positions of GNSS.
+const MAX_GNSS_READINGS: usize = 1 << 12;
 
 /// What comes next.
 #[derive(Debug, PartialEq)]
@@ -36,6 +39,7 @@ pub(crate) struct SensorQueue<'a> {
     pub(crate) imu: ImuWindow,
     frames: VecDeque<Frame>,
     wheels: VecDeque<WheelReading>,
+    gnss: VecDeque<GnssReading>,
     /// The source has ended or failed.
     ended: bool,
     error: Option<SensorError>,
@@ -46,7 +50,8 @@ impl<'a> SensorQueue<'a> {
     pub(crate) fn new(source: &'a mut dyn SensorSource) -> Self {
         let rate_hz = source.calibration().imu.as_ref().map_or(1.0, |imu| imu.rate_hz);
         let imu = ImuWindow::new(rate_hz);
-        Self { source, imu, frames: VecDeque::new(), wheels: VecDeque::new(), ended: false, error: None }
+        let (frames, wheels, gnss) = (VecDeque::new(), VecDeque::new(), VecDeque::new());
+        Self { source, imu, frames, wheels, gnss, ended: false, error: None }
     }
 
     /// What the source says of itself, if it is live.
@@ -105,6 +110,11 @@ impl<'a> SensorQueue<'a> {
         self.wheels.drain(..)
     }
 
+    /// The positions of GNSS that were read since the last call, in order of time.
+    pub(crate) fn take_gnss(&mut self) -> impl Iterator<Item = GnssReading> + '_ {
+        self.gnss.drain(..)
+    }
+
     /// Reads one event.
     fn read(&mut self) -> Read {
         if self.ended {
@@ -118,6 +128,12 @@ impl<'a> SensorQueue<'a> {
                     self.wheels.pop_front();
                 }
                 self.wheels.push_back(reading);
+            }
+            Ok(Some(SensorEvent::Gnss(reading))) => {
+                if self.gnss.len() == MAX_GNSS_READINGS {
+                    self.gnss.pop_front();
+                }
+                self.gnss.push_back(reading);
             }
             Ok(Some(SensorEvent::Tick)) => return Read::Tick,
             // Other sensors are of no use to the estimator.

@@ -1,9 +1,12 @@
 //! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, else what the bag itself carries.
 
+use super::gnss_topic::GnssTopic;
 use super::recorded_calibration::{self as recorded, NotRecorded};
 use super::topics::BagSensors;
 use super::wheel_topic::WheelTopic;
-use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError, WheelSensor};
+use crate::{
+    CalibrationFiles, CameraSensor, GnssSensor, ImuSensor, SensorCalibration, SequenceError, WheelSensor,
+};
 use bags::Bag;
 use calibration::kalibr::{self, CameraChain};
 use calibration::sensor_yaml;
@@ -18,6 +21,7 @@ pub(super) struct BagCalibration {
     readouts_s: Vec<f64>,
     imu: Option<Imu>,
     wheels: Option<WheelSensor>,
+    gnss: Option<GnssSensor>,
     /// Added to the stamps of the images, nanoseconds.
     pub(super) time_offset_ns: i64,
 }
@@ -28,8 +32,12 @@ enum Cameras {
 }
 
 enum Imu {
-    Kalibr(PathBuf),
-    Complete(ImuSensor),
+    /// `is_corrected`: its scale and misalignment are no more in the readings.
+    Kalibr {
+        file: PathBuf,
+        is_corrected: bool,
+    },
+    Complete(Box<ImuSensor>),
 }
 
 impl BagCalibration {
@@ -40,8 +48,17 @@ impl BagCalibration {
         cameras_hz: &[f64],
     ) -> Result<SensorCalibration, SequenceError> {
         let imu = match self.imu {
-            Some(Imu::Kalibr(file)) => Some(kalibr::read_imu(&file, imu_hz)?),
-            Some(Imu::Complete(imu)) => Some(imu),
+            Some(Imu::Kalibr { file, is_corrected }) => {
+                let mut imu = kalibr::read_imu(&file, imu_hz)?;
+                if is_corrected && imu.intrinsics.take().is_some() {
+                    tracing::warn!(
+                        "{}: scale and misalignment are not applied: Driftless recorded readings without them",
+                        file.display()
+                    );
+                }
+                Some(imu)
+            }
+            Some(Imu::Complete(imu)) => Some(*imu),
             None => None,
         };
         let sensor =
@@ -53,7 +70,7 @@ impl BagCalibration {
         for (camera, readout_s) in cameras.iter_mut().zip(self.readouts_s) {
             camera.readout_s = readout_s;
         }
-        Ok(SensorCalibration { imu, cameras, wheels: self.wheels })
+        Ok(SensorCalibration { imu, cameras, wheels: self.wheels, gnss: self.gnss })
     }
 }
 
@@ -65,6 +82,7 @@ pub(super) fn read(
     bag: &Bag,
     sensors: &BagSensors,
     wheels: Option<&WheelTopic>,
+    gnss: Option<&GnssTopic>,
     files: &CalibrationFiles,
 ) -> Result<BagCalibration, SequenceError> {
     let path = bag.path();
@@ -89,11 +107,12 @@ pub(super) fn read(
     };
     let imu = match (sensors.imu, files.imu) {
         (None, _) => None,
-        (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
-        (Some(_), None) => Some(Imu::Complete(imu_without_kalibr(bag, &root)?)),
+        (Some(_), Some(file)) => Some(Imu::Kalibr { file, is_corrected: recorded::is_own(bag) }),
+        (Some(_), None) => Some(Imu::Complete(Box::new(imu_without_kalibr(bag, &root)?))),
     };
     let wheels = wheels.and_then(|wheels| wheels.calibration(bag, sensors.imu));
-    Ok(BagCalibration { cameras, readouts_s, imu, wheels, time_offset_ns })
+    let gnss = gnss.and_then(|gnss| gnss.calibration(bag, sensors.imu));
+    Ok(BagCalibration { cameras, readouts_s, imu, wheels, gnss, time_offset_ns })
 }
 
 /// The offset of a camera chain, which images that Driftless recorded have in their stamps already.

@@ -1,10 +1,10 @@
 //! Messages of a bag: of ROS 1, ROS 2, and Foxglove's images.
 
 use super::foxglove::{self, FoxgloveError};
-use super::topics::{COMPRESSED_IMAGE, IMAGES, JOINT_STATE, ODOMETRY};
+use super::topics::{COMPRESSED_IMAGE, IMAGES, JOINT_STATE, NAV_SAT_FIX, ODOMETRY};
 use bags::{Bag, BagError, Encoding, Place};
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState};
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState, NavSatFix};
 use ros_messages::{CdrError, RosMessage, decode, ros1};
 use std::path::Path;
 use vision::{GrayImage, ImageError, RawImage};
@@ -68,6 +68,7 @@ pub(super) fn unreadable(bag: &Bag, topic: usize) -> Option<MessageError> {
             image if IMAGES.contains(&image) => read_image(bag, topic, place).map(drop),
             ODOMETRY => read::<Odometry>(bag, topic, place).map(drop),
             JOINT_STATE => read::<JointState>(bag, topic, place).map(drop),
+            NAV_SAT_FIX => read::<NavSatFix>(bag, topic, place).map(drop),
             _ => read::<Imu>(bag, topic, place).map(drop),
         };
         match read {

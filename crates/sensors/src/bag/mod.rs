@@ -6,6 +6,7 @@ mod accelerometer;
 mod calibration;
 mod camera_topics;
 mod foxglove;
+mod gnss_topic;
 mod image;
 mod imu_topics;
 mod index;
@@ -13,7 +14,6 @@ mod messages;
 mod recorded_calibration;
 mod recording;
 mod rows;
-mod static_transforms;
 mod topics;
 mod wheel_topic;
 

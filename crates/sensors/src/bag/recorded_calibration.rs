@@ -3,17 +3,22 @@
 
 use super::BagCamera;
 use super::messages;
-use super::static_transforms::StaticTransforms;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
 use crate::ros_bag::{IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, rate_entry};
+use crate::static_transforms::StaticTransforms;
 use crate::{ImuSensor, SequenceError};
 use bags::{Bag, Metadata};
 use calibration::sensor_yaml;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use ros_messages::sensor_msgs::{CameraInfo, Imu};
+use ros_messages::tf2_msgs::TFMessage;
 use std::path::PathBuf;
+
+/// Last part of the name of the topic of static transforms, and its type.
+const TF_STATIC: &str = "tf_static";
+const TF_TYPE: &str = "tf2_msgs/TFMessage";
 
 /// What a bag lacks of a calibration.
 #[derive(Debug, thiserror::Error)]
@@ -44,7 +49,7 @@ pub(super) fn cameras(bag: &Bag, sensors: &BagSensors) -> Result<Vec<(Camera, Po
         Some(imu) => imu_frame(bag, imu),
         None => written().unwrap_or_default(),
     };
-    let transforms = StaticTransforms::read(bag);
+    let transforms = static_transforms(bag);
     let mut cameras = Vec::new();
     for camera in &sensors.cameras {
         let Some((projection, frame)) = projection(bag, camera)? else {
@@ -96,6 +101,21 @@ pub(super) fn rates_hz(bag: &Bag, sensors: &BagSensors) -> Option<Vec<f64>> {
 
 fn own(bag: &Bag) -> Option<&Metadata> {
     bag.metadata().iter().find(|metadata| metadata.name == METADATA)
+}
+
+/// All messages of `/tf_static`, also of one in a namespace.
+pub(super) fn static_transforms(bag: &Bag) -> StaticTransforms {
+    let mut transforms = StaticTransforms::default();
+    for (index, topic) in bag.topics().iter().enumerate() {
+        if topic.type_name != TF_TYPE || topic.name.rsplit('/').next() != Some(TF_STATIC) {
+            continue;
+        }
+        let messages = topic.messages.iter().map(|message| messages::read(bag, index, message.place));
+        messages
+            .filter_map(|message: Result<TFMessage, _>| message.ok())
+            .for_each(|message| transforms.add(&message));
+    }
+    transforms
 }
 
 /// The frame of the IMU, as its first message names it.

@@ -2,18 +2,22 @@
 
 use super::accelerometer::interpolated;
 use super::calibration;
+use super::gnss_topic::GnssTopic;
 use super::index::StampedTopic;
 use super::messages;
+use super::recorded_calibration::{imu_frame, static_transforms};
 use super::rows::{Cameras, FrameRows, readings};
 use super::topics::{BagSensors, wrong};
 use super::wheel_topic::WheelTopic;
+use crate::imu_intake::ImuIntake;
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError, WheelReading,
-    WheelReadings, camera_groups,
+    CalibrationFiles, Frame, GnssReading, ImuSample, PairCounts, SensorCalibration, SequenceError,
+    WheelReading, WheelReadings, camera_groups,
 };
 use bags::Bag;
+use geometry::Pose;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -24,8 +28,9 @@ pub(crate) struct BagRecording {
     /// Where it has a topic of its own.
     accelerometer: Option<Arc<StampedTopic>>,
     wheels: Option<(Arc<StampedTopic>, WheelTopic)>,
+    gnss: Option<(Arc<StampedTopic>, GnssTopic)>,
     cameras: Arc<Cameras>,
-    imu_units: ImuUnits,
+    imu_intake: ImuIntake,
     time_offset_ns: i64,
 }
 
@@ -52,13 +57,16 @@ impl BagRecording {
         // Files that are missing are found before all stamps are read.
         let wheels = WheelTopic::find(&bag, files)?;
         let of_wheels = wheels.as_ref().map(|(_, wheels)| wheels);
-        let calibration = calibration::read(&bag, &sensors, of_wheels, files)?;
+        let gnss = GnssTopic::find(&bag, files)?;
+        let of_gnss = gnss.as_ref().map(|(_, gnss)| gnss);
+        let calibration = calibration::read(&bag, &sensors, of_wheels, of_gnss, files)?;
         let imu = sensors.imu.map(|topic| StampedTopic::read(&bag, topic, &[]));
         let steps = imu.as_ref().map_or(&[][..], |imu| &imu.steps);
         let accelerometer = sensors.accelerometer.map(|topic| StampedTopic::read(&bag, topic, steps));
         let of_imu = imu.iter().chain(&accelerometer);
         let stamped = |(topic, how)| (StampedTopic::read(&bag, topic, steps), how);
         let wheels = wheels.map(stamped);
+        let gnss = gnss.map(|(topic, how)| (StampedTopic::read(&bag, topic, steps), how));
         let of_wheels = wheels.iter().map(|(topic, _)| topic);
         let camera = |camera: &super::BagCamera| StampedTopic::read(&bag, camera.images, steps);
         let cameras: Vec<Arc<StampedTopic>> = sensors.cameras.iter().map(camera).map(Arc::new).collect();
@@ -82,8 +90,9 @@ impl BagRecording {
             imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
             accelerometer: accelerometer.map(Arc::new),
             wheels: wheels.map(|(topic, how)| (Arc::new(topic), how)),
+            gnss: gnss.map(|(topic, how)| (Arc::new(topic), how)),
             cameras: Arc::new(Cameras::new(cameras, &groups, files.pair_tolerance_ns())),
-            imu_units: files.imu_units,
+            imu_intake: ImuIntake::new(files.imu_units, calibration.imu.as_ref()),
             time_offset_ns,
         };
         Ok((recording, calibration))
@@ -103,8 +112,8 @@ impl Stored for BagRecording {
             }
             (None, _) => Box::new(std::iter::empty()),
         };
-        let units = self.imu_units;
-        Ok(Box::new(readings.map(move |reading| reading.map(|reading| units.in_si(reading)))))
+        let intake = self.imu_intake;
+        Ok(Box::new(readings.map(move |reading| reading.map(|reading| intake.take(reading)))))
     }
 
     fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
@@ -112,8 +121,18 @@ impl Stored for BagRecording {
         Ok(Box::new(how.rows(&self.bag, topic)))
     }
 
+    fn gnss_readings(&self) -> Result<Rows<'static, GnssReading>, SequenceError> {
+        let Some((topic, how)) = &self.gnss else { return Ok(Box::new(std::iter::empty())) };
+        Ok(Box::new(how.rows(&self.bag, topic)))
+    }
+
     fn wheels_are(&self) -> WheelReadings {
         self.wheels.as_ref().map_or(WheelReadings::Speeds, |(_, how)| how.readings())
+    }
+
+    fn imu_from_base(&self, base: &str) -> Option<Pose> {
+        let imu = imu_frame(&self.bag, self.imu.as_ref()?.topic);
+        static_transforms(&self.bag).imu_from_base(&imu, base)
     }
 
     fn time_offset_ns(&self) -> i64 {

@@ -15,6 +15,8 @@ pub(super) const IMAGES: [&str; 4] =
 /// Types of wheels.
 pub(super) const JOINT_STATE: &str = "sensor_msgs/JointState";
 pub(super) const ODOMETRY: &str = "nav_msgs/Odometry";
+/// Type of GNSS.
+pub(super) const NAV_SAT_FIX: &str = "sensor_msgs/NavSatFix";
 pub(super) const CAMERA_INFO: &str = "sensor_msgs/CameraInfo";
 
 /// The sensors of a bag, as indices of [`Bag::topics`].

@@ -2,9 +2,8 @@
 
 use super::index::{Stamped, StampedTopic};
 use super::messages;
-use super::recorded_calibration::imu_frame;
+use super::recorded_calibration::{imu_frame, static_transforms};
 use super::rows::Values;
-use super::static_transforms::StaticTransforms;
 use super::topics::{JOINT_STATE, ODOMETRY, named, wrong};
 use crate::ros_wheels::{WheelJoints, base_velocity};
 use crate::{CalibrationFiles, SequenceError, WheelReading, WheelReadings, WheelSensor};
@@ -56,7 +55,7 @@ impl WheelTopic {
     /// * `imu`: topic of the IMU.
     pub(super) fn calibration(&self, bag: &Bag, imu: Option<usize>) -> Option<WheelSensor> {
         let Self::Base(base) = self else { return None };
-        let imu_from_base = StaticTransforms::read(bag).between(&imu_frame(bag, imu?), base)?;
+        let imu_from_base = static_transforms(bag).between(&imu_frame(bag, imu?), base)?;
         Some(WheelSensor::of_base_velocity(imu_from_base))
     }
 

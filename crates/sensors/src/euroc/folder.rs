@@ -2,13 +2,15 @@
 
 use super::camera_folder::FrameRows;
 use super::stamps::{FrameStamps, TableStamps};
-use super::tables::TimedRows;
+use super::tables::{PositionRow, TimedRows};
 use crate::CalibrationFiles;
+use crate::gnss_intake::GnssIntake;
+use crate::imu_intake::ImuIntake;
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CameraSensor, Frame, ImuSample, ImuUnits, PairCounts, ReferencePose, SensorCalibration, SequenceError,
-    Table, TruthRow, WheelReading,
+    CameraSensor, Frame, GnssReading, GnssSensor, ImuSample, PairCounts, ReferencePose, SensorCalibration,
+    SequenceError, Table, TruthRow, WheelReading,
 };
 use calibration::kalibr;
 use calibration::sensor_yaml;
@@ -29,9 +31,10 @@ pub(crate) struct Folder {
     frames: Arc<FrameStamps>,
     readings: Option<TableStamps>,
     wheels: Option<TableStamps>,
+    gnss: Option<(TableStamps, GnssSensor)>,
     truth: Option<TableStamps>,
     reference_poses: Option<TableStamps>,
-    imu_units: ImuUnits,
+    imu_intake: ImuIntake,
     time_offset_ns: i64,
 }
 
@@ -77,13 +80,15 @@ impl FolderCalibration {
         };
         let wheels_path = mav.join("wheels0/sensor.yaml");
         let wheels = wheels_path.exists().then(|| sensor_yaml::read_wheels(&wheels_path)).transpose()?;
+        let gnss_path = mav.join("gnss0/sensor.yaml");
+        let gnss = gnss_path.exists().then(|| sensor_yaml::read_gnss(&gnss_path)).transpose()?;
         let count = (1..MAX_CAMERAS).take_while(|index| mav.join(format!("cam{index}")).is_dir()).count() + 1;
         let folders = (0..count).map(|index| mav.join(format!("cam{index}")));
         let Some(path) = &files.cameras else {
             let read = |folder: PathBuf| sensor_yaml::read_camera(&folder.join("sensor.yaml"));
             let cameras = folders.map(read).collect::<Result<_, _>>()?;
             return Ok(Self {
-                sensors: SensorCalibration { imu, cameras, wheels },
+                sensors: SensorCalibration { imu, cameras, wheels, gnss },
                 time_offset_ns: 0,
                 files,
             });
@@ -95,7 +100,7 @@ impl FolderCalibration {
         };
         let cameras = chain.cameras.into_iter().zip(chain.readouts_s).zip(folders);
         let cameras = cameras.map(sensor).collect::<Result<_, SequenceError>>()?;
-        let sensors = SensorCalibration { imu, cameras, wheels };
+        let sensors = SensorCalibration { imu, cameras, wheels, gnss };
         Ok(Self { sensors, time_offset_ns: chain.time_offset_ns, files })
     }
 }
@@ -129,9 +134,10 @@ impl Folder {
             frames: Arc::new(FrameStamps::read(&mav, &sensors.cameras, files.pair_tolerance_ns())),
             readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
             wheels: if_there(wheels_path(root)),
+            gnss: if_there(gnss_path(root)).map(|stamps| (stamps, sensors.gnss.unwrap_or_default())),
             truth: if_there(truth_path(root)),
             reference_poses: if_there(reference_path(root)),
-            imu_units: files.imu_units,
+            imu_intake: ImuIntake::new(files.imu_units, sensors.imu.as_ref()),
             time_offset_ns,
         };
         Ok((folder, sensors))
@@ -140,6 +146,10 @@ impl Folder {
 
 fn wheels_path(root: &Path) -> PathBuf {
     root.join("mav0/wheels0/data.csv")
+}
+
+fn gnss_path(root: &Path) -> PathBuf {
+    root.join("mav0/gnss0/data.csv")
 }
 
 fn truth_path(root: &Path) -> PathBuf {
@@ -162,14 +172,24 @@ impl Stored for Folder {
         let Some(TableStamps { order, .. }) = &self.readings else {
             return Ok(Box::new(std::iter::empty()));
         };
-        let units = self.imu_units;
+        let intake = self.imu_intake;
         let rows = TimedRows::open_in_order(&self.readings_path(), order)?;
-        Ok(Box::new(rows.map(move |reading| reading.map(|reading| units.in_si(reading)))))
+        Ok(Box::new(rows.map(move |reading| reading.map(|reading| intake.take(reading)))))
     }
 
     fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
         let Some(TableStamps { order, .. }) = &self.wheels else { return Ok(Box::new(std::iter::empty())) };
         Ok(Box::new(TimedRows::open_in_order(&wheels_path(&self.root), order)?))
+    }
+
+    fn gnss_readings(&self) -> Result<Rows<'static, GnssReading>, SequenceError> {
+        let Some((TableStamps { order, .. }, sensor)) = &self.gnss else {
+            return Ok(Box::new(std::iter::empty()));
+        };
+        let path = gnss_path(&self.root);
+        let rows = TimedRows::<PositionRow>::open_in_order(&path, order)?;
+        let intake = GnssIntake::new(sensor);
+        Ok(Box::new(rows.map(move |row| row?.gnss_reading(&path, &intake))))
     }
 
     fn stereo_pairs(&self) -> Option<PairCounts> {

@@ -1,11 +1,14 @@
 //! The tables with one row an instant: IMU, ground truth, reference poses.
 
 use super::stamps::TableStamps;
+use crate::gnss_intake::{GnssIntake, GnssProblem};
 use crate::pose_columns::{PoseColumns, QuaternionOrder};
 use crate::row_order::RowOrder;
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
-use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow, WheelReading};
+use crate::{
+    GnssReading, ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow, WheelReading,
+};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use std::marker::PhantomData;
@@ -132,7 +135,7 @@ impl TimedRow for ReferencePose {
 }
 
 /// A position, and its standard deviations along the axes where the table has them.
-struct PositionRow {
+pub(super) struct PositionRow {
     stamp_ns: i64,
     position: Vector3<f64>,
     sigmas_m: Option<Vector3<f64>>,
@@ -164,6 +167,24 @@ impl TimedRow for PositionRow {
     }
 }
 
+impl PositionRow {
+    /// The row of a table of GNSS as a reading.
+    pub(super) fn gnss_reading(self, path: &Path, intake: &GnssIntake) -> Result<GnssReading, SequenceError> {
+        let reading = intake.take(self.stamp_ns, &self.position, self.sigmas_m.map(covariance_of));
+        let wrong = |problem: GnssProblem| SequenceError::Row {
+            path: path.to_path_buf(),
+            line: self.line,
+            problem: problem.to_string(),
+        };
+        reading.map_err(wrong)
+    }
+}
+
+/// Of independent errors.
+fn covariance_of(sigmas_m: Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&sigmas_m.component_mul(&sigmas_m))
+}
+
 /// Reads positions: `ns,x,y,z`, as EuRoC's `leica0/data.csv`, or `ns,x,y,z,sigma_x,sigma_y,sigma_z` (m).
 ///
 /// # Arguments
@@ -184,7 +205,7 @@ pub fn read_reference_positions(
                 .to_owned(),
         };
         let sigmas = row.sigmas_m.or(sigma_p_m.map(Vector3::repeat)).ok_or_else(unknown)?;
-        let covariance = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
+        let covariance = covariance_of(sigmas);
         Ok(ReferencePosition { stamp_ns: row.stamp_ns, position: row.position, covariance })
     };
     rows.into_iter().map(position).collect()

@@ -4,7 +4,8 @@
 //! and come back to 15 digits.
 
 use crate::{
-    CameraSensor, Frame, ImageData, ImuSensor, SensorCalibration, Sequence, SequenceError, WheelSensor,
+    CameraSensor, Frame, GnssReading, GnssSensor, ImageData, ImuSensor, SensorCalibration, Sequence,
+    SequenceError, WheelSensor,
 };
 use geometry::pose::Pose;
 use nalgebra::Vector3;
@@ -32,6 +33,9 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
             let mut rows = sequence.wheel_readings.iter();
             rows.try_for_each(|row| writeln!(out, "{},{},{}", row.stamp_ns, row.left, row.right))
         })?;
+    }
+    if !sequence.gnss_readings.is_empty() {
+        write_file(&mav.join("gnss0/data.csv"), |out| gnss_rows(out, &sequence.gnss_readings))?;
     }
     for index in 0..sequence.cameras.len() {
         let folder = mav.join(format!("cam{index}"));
@@ -90,6 +94,9 @@ pub fn write_calibration(calibration: &SensorCalibration, root: &Path) -> Result
     }
     if let Some(wheels) = &calibration.wheels {
         write_file(&root.join("mav0/wheels0/sensor.yaml"), |out| wheels_yaml(out, wheels))?;
+    }
+    if let Some(gnss) = &calibration.gnss {
+        write_file(&root.join("mav0/gnss0/sensor.yaml"), |out| gnss_yaml(out, gnss))?;
     }
     for (index, camera) in calibration.cameras.iter().enumerate() {
         let path = root.join(format!("mav0/cam{index}/sensor.yaml"));
@@ -162,6 +169,27 @@ pub(crate) fn imu_yaml(out: &mut impl Write, imu: &ImuSensor) -> std::io::Result
     writeln!(out, "gyroscope_random_walk: {}", imu.noise.gyroscope_walk)?;
     writeln!(out, "accelerometer_noise_density: {}", imu.noise.accelerometer)?;
     writeln!(out, "accelerometer_random_walk: {}", imu.noise.accelerometer_walk)
+}
+
+/// Positions with the standard deviations along the axes; correlations between them are not kept.
+fn gnss_rows(out: &mut Out, readings: &[GnssReading]) -> std::io::Result<()> {
+    writeln!(out, "#timestamp [ns],x [m],y [m],z [m],sigma_x [m],sigma_y [m],sigma_z [m]")?;
+    readings.iter().try_for_each(|reading| {
+        let sigma = reading.covariance.diagonal().map(f64::sqrt);
+        let numbers: Vec<String> = reading.position.iter().chain(&sigma).map(f64::to_string).collect();
+        writeln!(out, "{},{}", reading.stamp_ns, numbers.join(","))
+    })
+}
+
+/// Without the origin: the positions that are written are in the frame of the map.
+fn gnss_yaml(out: &mut Out, gnss: &GnssSensor) -> std::io::Result<()> {
+    let list = |values: &Vector3<f64>| format!("[{}, {}, {}]", values.x, values.y, values.z);
+    writeln!(out, "sensor_type: gnss")?;
+    writeln!(out, "antenna: {}", list(&gnss.antenna_in_imu))?;
+    if let Some(sigma_m) = &gnss.sigma_m {
+        writeln!(out, "noise: {}", list(sigma_m))?;
+    }
+    gnss.correlation_time_s.map_or(Ok(()), |seconds| writeln!(out, "correlation_time: {seconds}"))
 }
 
 fn wheels_yaml(out: &mut Out, wheels: &WheelSensor) -> std::io::Result<()> {

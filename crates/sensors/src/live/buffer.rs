@@ -8,9 +8,8 @@ use super::reorder::Reorder;
 use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
 use super::stream::Stream;
-use crate::{
-    ImuSample, ImuUnits, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups,
-};
+use crate::imu_intake::ImuIntake;
+use crate::{ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups};
 use protocol::FeatureSet;
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
@@ -38,7 +37,7 @@ pub(super) enum Ready {
 pub(super) struct LiveBuffer {
     max_waiting_frames: usize,
     camera_offset_ns: i64,
-    imu_units: ImuUnits,
+    imu_intake: ImuIntake,
     imu: Lane<ImuSample>,
     cameras: Vec<Lane<LiveImage>>,
     tracks: Option<Lane<PendingFrame>>,
@@ -78,7 +77,7 @@ impl LiveBuffer {
         Self {
             max_waiting_frames: settings.max_waiting_frames.max(1),
             camera_offset_ns: settings.camera_offset_ns,
-            imu_units: settings.imu_units,
+            imu_intake: ImuIntake::new(settings.imu_units, calibration.imu.as_ref()),
             imu: Lane::new(Stream::Imu, calibration.imu.as_ref().map(|imu| imu.rate_hz)),
             repetitions: cameras.iter().map(|_| Repetition::default()).collect(),
             cameras,
@@ -114,7 +113,7 @@ impl LiveBuffer {
 
     pub(super) fn imu(&mut self, reading: ImuSample, now: Duration) {
         self.imu.arrived(now);
-        let reading = self.imu_units.in_si(reading);
+        let reading = self.imu_intake.take(reading);
         if !reading.gyroscope.iter().chain(&reading.accelerometer).all(|value| value.is_finite()) {
             let problem = "readings are not finite, and are not used; check the sensor".to_owned();
             return self.faults.note(Stream::Imu, FaultKind::NotFinite, now, problem);

@@ -68,6 +68,6 @@ impl LiveSettings {
             LiveFrames::Images => (true, false, false),
             LiveFrames::Tracks { features } => (false, true, features),
         };
-        Contents { frames: None, images, tracks, features, wheels: self.wheels }
+        Contents { frames: None, images, tracks, features, wheels: self.wheels, gnss: false }
     }
 }

@@ -66,6 +66,66 @@ const RESULT: &str = "imu0:\n  T_i_b:\n  - [1.0, 0.0, 0.0, 0.0]\n  - [0.0, 1.0, 
                       gyroscope_noise_density: 0.00016968\n  gyroscope_random_walk: 1.9393e-05\n  model: calibrated\n  \
                       rostopic: /imu0\n  time_offset: 0.0\n  update_rate: 200.0\n";
 
+/// What Kalibr writes of scale and misalignment, row by row.
+const SCALE: [[f64; 9]; 4] = [
+    [1.02, 0.0, 0.0, 0.01, 0.98, 0.0, -0.02, 0.004, 1.01],
+    [0.97, 0.0, 0.0, -0.005, 1.03, 0.0, 0.006, 0.01, 0.99],
+    [1.0, 0.0, 0.0, 0.0, 0.8, -0.6, 0.0, 0.6, 0.8],
+    [1e-3, -2e-4, 3e-4, 5e-4, 2e-3, 0.0, -1e-4, 4e-4, -6e-4],
+];
+
+/// The result of Kalibr with a model that has scale and misalignment.
+fn scaled(model: &str) -> String {
+    let rows = |matrix: [f64; 9]| {
+        let row = |from: usize| format!("{:?}", &matrix[from..from + 3]);
+        format!("[{}, {}, {}]", row(0), row(3), row(6))
+    };
+    let [accelerometer, gyroscope, rotation, g_sensitivity] = SCALE.map(rows);
+    let size = if model.ends_with("effect") {
+        "    rx_i: [0.0, 0.0, 0.0]\n    ry_i: [0.002, 0.0, 0.0]\n    rz_i: [0.0, 0.001, 0.001]\n"
+    } else {
+        ""
+    };
+    let result = RESULT.replace("model: calibrated", &format!("model: {model}"));
+    format!(
+        "{result}  accelerometers:\n    M: {accelerometer}\n{size}  gyroscopes:\n    M: {gyroscope}\n    A: {g_sensitivity}\n    \
+         C_gyro_i: {rotation}\n"
+    )
+}
+
+/// What an IMU with this scale and misalignment reads of a motion.
+fn distorted(motion: &ImuSample) -> ImuSample {
+    let [accelerometer, gyroscope, rotation, g_sensitivity] =
+        SCALE.map(|matrix| nalgebra::Matrix3::from_row_slice(&matrix));
+    ImuSample {
+        stamp_ns: motion.stamp_ns,
+        gyroscope: gyroscope * rotation * motion.gyroscope + g_sensitivity * rotation * motion.accelerometer,
+        accelerometer: accelerometer * motion.accelerometer,
+    }
+}
+
+#[test]
+fn scale_and_misalignment_are_taken_from_the_readings() {
+    let written = sequence(2);
+    let mut recorded = written.clone();
+    recorded.imu_samples = written.imu_samples.iter().map(distorted).collect();
+    let folder = without_calibration(&recorded);
+    std::fs::write(folder.path().join("camchain.yaml"), chain(&written, false)).unwrap();
+    for model in ["scale-misalignment", "scale-misalignment-size-effect"] {
+        std::fs::write(folder.path().join("imu.yaml"), scaled(model)).unwrap();
+        let read = Sequence::open(folder.path()).unwrap();
+        assert_eq!(read.imu_samples.len(), written.imu_samples.len());
+        for (a, b) in read.imu_samples.iter().zip(&written.imu_samples) {
+            assert_eq!(a.stamp_ns, b.stamp_ns);
+            assert!((a.gyroscope - b.gyroscope).norm() < 1e-12, "{model}");
+            assert!((a.accelerometer - b.accelerometer).norm() < 1e-12, "{model}");
+        }
+    }
+    std::fs::write(folder.path().join("imu.yaml"), RESULT).unwrap();
+    let read = Sequence::open(folder.path()).unwrap();
+    assert!((read.imu_samples[0].gyroscope - written.imu_samples[0].gyroscope).norm() > 1e-3);
+}
+
 /// A recording on disk without `sensor.yaml` files.
 fn without_calibration(sequence: &Sequence) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -155,7 +215,14 @@ fn what_cannot_be_used_is_named_with_what_can() {
         assert!(error.contains("camchain-imucam.yaml") && error.contains(word), "{error}");
     }
     for (imu, word) in [
-        (RESULT.replace("calibrated", "scale-misalignment"), "scale-misalignment"),
+        (RESULT.replace("calibrated", "scale-misalignment"), "accelerometers (M)"),
+        (RESULT.replace("calibrated", "bent"), "\"bent\" is unknown"),
+        (scaled("scale-misalignment").replace("1.02", "9.81"), "no scale"),
+        (
+            scaled("scale-misalignment").replace("C_gyro_i: [[1.0", "C_gyro_i: [[1.2"),
+            "C_gyro_i: it is not a rotation",
+        ),
+        (scaled("scale-misalignment-size-effect").replace("0.002", "0.03"), "beyond 1 cm"),
         (IMU.replace("1.6968e-04", "-1"), "gyroscope_noise_density"),
         (RESULT.replace("- [1.0, 0.0, 0.0, 0.0]", "- [1.0, 0.0, 0.0, 0.3]"), "T_i_b"),
     ] {

@@ -71,6 +71,7 @@ fn sequence(seed: u64) -> Sequence {
             noise: ImuNoise::default(),
             rate_hz: 200.0,
             gravity_magnitude: stereo.then_some(9.808_084),
+            intrinsics: None,
         }),
         imu_samples: (0..50)
             .map(|index| ImuSample {
@@ -86,6 +87,18 @@ fn sequence(seed: u64) -> Sequence {
             imu_from_base: pose(&mut rng),
             sigma_speed_rad_s: Some(0.03),
         }),
+        gnss: stereo.then(|| GnssSensor {
+            antenna_in_imu: vector(&mut rng, 1.0),
+            correlation_time_s: Some(12.0),
+            ..GnssSensor::default()
+        }),
+        gnss_readings: (0..5)
+            .map(|index| GnssReading {
+                stamp_ns: START_NS + index * 100_777_000,
+                position: vector(&mut rng, 50.0),
+                covariance: nalgebra::Matrix3::from_diagonal(&Vector3::new(0.25, 1.0, 2.25)),
+            })
+            .collect(),
         wheel_readings: (0..20)
             .map(|index| WheelReading {
                 stamp_ns: START_NS + index * 19_999_777,

@@ -21,6 +21,8 @@ fn reading_undoes_writing() {
         assert_eq!(read.imu, written.imu);
         assert_eq!(read.imu_samples, written.imu_samples);
         assert_eq!(read.frames, written.frames);
+        assert_eq!(read.gnss, written.gnss);
+        assert_eq!(read.gnss_readings, written.gnss_readings);
         assert_eq!(read.wheel_readings, written.wheel_readings);
         assert_eq!(read.wheels.is_some(), written.wheels.is_some());
         for (a, b) in read.wheels.iter().zip(&written.wheels) {
@@ -59,7 +61,7 @@ fn cameras_of_a_rig_that_are_triggered_apart_give_frames_of_their_own() {
         sensor.camera.distortion = Distortion::None;
         sensor.imu_from_camera = Pose::new(turn, Vector3::zeros());
         let alone = folder.path().join(format!("alone{camera}"));
-        let calibration = SensorCalibration { imu: None, cameras: vec![sensor], wheels: None };
+        let calibration = SensorCalibration { imu: None, cameras: vec![sensor], wheels: None, gnss: None };
         writer::write_calibration(&calibration, &alone).unwrap();
         std::fs::copy(alone.join("mav0/cam0/sensor.yaml"), path(camera, "sensor.yaml")).unwrap();
     }

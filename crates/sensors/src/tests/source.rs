@@ -16,6 +16,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
         let events = events(Recording::from(&sequence).source().unwrap());
         assert!(events.is_sorted_by_key(SensorEvent::stamp_ns));
         let (mut readings, mut wheels, mut frames) = (Vec::new(), Vec::new(), Vec::new());
+        let mut gnss = Vec::new();
         for event in events {
             match event {
                 SensorEvent::Imu(reading) => {
@@ -24,6 +25,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
                     readings.push(reading);
                 }
                 SensorEvent::Wheels(reading) => wheels.push(reading),
+                SensorEvent::Gnss(reading) => gnss.push(reading),
                 SensorEvent::Frame(frame) => {
                     assert!(readings.last().unwrap().stamp_ns <= frame.stamp_ns);
                     frames.push(frame);
@@ -33,6 +35,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
         }
         assert_eq!((readings, frames), (sequence.imu_samples, sequence.frames));
         assert_eq!(wheels, sequence.wheel_readings);
+        assert_eq!(gnss, sequence.gnss_readings);
     }
 }
 
@@ -51,6 +54,36 @@ fn a_recording_in_memory_and_one_on_disk_are_the_same_source() {
     assert_eq!(excerpt, events(memory.source().unwrap()));
     let frames = excerpt.iter().filter(|event| matches!(event, SensorEvent::Frame(_)));
     assert_eq!(frames.count(), written.frames.len() - 1);
+}
+
+#[test]
+fn gnss_is_read_in_latitude_and_longitude_where_an_origin_is_stated() {
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(&sequence(2), folder.path()).unwrap();
+    let (data, yaml) =
+        (folder.path().join("mav0/gnss0/data.csv"), folder.path().join("mav0/gnss0/sensor.yaml"));
+    std::fs::write(&yaml, "antenna: [0.1, 0.2, 0.9]\norigin: [48.0, 11.0, 500.0]\nnoise: [0.5, 0.5, 1.0]\n")
+        .unwrap();
+    std::fs::write(&data, format!("#ns,latitude,longitude,altitude\n{START_NS},48.001,11.0,501.0\n"))
+        .unwrap();
+    let recording = Recording::open(folder.path()).unwrap();
+    assert!(recording.contents().gnss);
+    let reading = recording.gnss_readings().unwrap().next().unwrap().unwrap();
+    assert!((reading.position - Vector3::new(0.0, 111.2, 1.0)).norm() < 0.1, "{}", reading.position);
+    assert_eq!(reading.covariance.diagonal(), Vector3::new(0.25, 0.25, 1.0));
+    for (row, word) in
+        [("11.0,48.001,501", "order of latitude"), ("500,11,501", "no latitude"), ("48,11", "column")]
+    {
+        std::fs::write(&data, format!("#ns\n{START_NS},{row}\n")).unwrap();
+        let error = Recording::open(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("gnss0") && error.contains(word), "{error}");
+    }
+    std::fs::write(&data, format!("{START_NS},1,2,3\n")).unwrap();
+    std::fs::write(&yaml, "antenna: [0.1, 0.2, 0.9]\n").unwrap();
+    let error = Recording::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("standard deviations"), "{error}");
+    std::fs::write(&yaml, "antenna: [0.1, 0.2, 0.9]\norigin: [148.0, 11.0, 500.0]\n").unwrap();
+    assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("origin"));
 }
 
 #[test]

@@ -155,6 +155,49 @@ fn what_is_missing_is_named() {
     assert!(tilted.contains("coefficient 13"), "{tilted}");
 }
 
+#[test]
+fn the_base_is_where_tf_static_says_over_any_frames() {
+    let imu_from_base = |carried: &Carried, base: &str| {
+        let (folder, path) = carried.write();
+        Recording::open_with(&path, &noise_file(folder.path())).unwrap().imu_from_base(base)
+    };
+    let mut carried = Carried::complete();
+    let expected = pose(0.2, 1.0).inverse();
+    assert!(imu_from_base(&carried, "base_link").unwrap().local(&expected).norm() < 1e-12);
+    // As robot descriptions have it.
+    carried.transforms.push(stamped("base_footprint", "base_link", &pose(0.0, 0.3)));
+    let footprint = imu_from_base(&carried, "/base_footprint").unwrap();
+    assert!(footprint.local(&(pose(0.0, 0.3) * pose(0.2, 1.0)).inverse()).norm() < 1e-12);
+    assert_eq!(imu_from_base(&carried, "trailer"), None);
+    carried.imu_frame = "";
+    let (folder, path) = carried.write();
+    assert!(
+        Recording::open_with(&path, &noise_file(folder.path())).is_err(),
+        "the cameras' place is not known"
+    );
+}
+
+#[test]
+fn scale_and_misalignment_are_taken_out_once() {
+    const SCALED: &str = "model: scale-misalignment\naccelerometers: {M: [[1, 0, 0], [0, 1.25, 0], [0, 0, 1]]}\n\
+        gyroscopes: {M: [[1, 0, 0], [0, 1.4, 0], [0, 0, 1]]}\n";
+    let first = |imu: Option<ImuSensor>| {
+        let (folder, path) = Carried { imu, ..Carried::complete() }.write();
+        let files = noise_file(folder.path());
+        std::fs::write(files.imu.as_ref().unwrap(), format!("{NOISE}\n{SCALED}")).unwrap();
+        let recording = Recording::open_with(&path, &files).unwrap();
+        recording.imu_samples().unwrap().next().unwrap().unwrap()
+    };
+    let recorded = reading(0);
+    let corrected = first(None);
+    let expected = (recorded.gyroscope.y / 1.4, recorded.accelerometer.y / 1.25);
+    assert!((corrected.gyroscope.y - expected.0).abs() < 1e-12);
+    assert!((corrected.accelerometer.y - expected.1).abs() < 1e-12);
+    // Driftless has recorded the readings without them.
+    let imu = ImuSensor { noise: noise(), rate_hz: 200.0, gravity_magnitude: None, intrinsics: None };
+    assert_eq!(first(Some(imu)).gyroscope, recorded.gyroscope);
+}
+
 fn noise() -> ImuNoise {
     let mut noise = ImuNoise::default();
     (noise.gyroscope, noise.gyroscope_walk) = (1.0 / 7e3, 1.0 / 3e5);
@@ -164,7 +207,7 @@ fn noise() -> ImuNoise {
 
 #[test]
 fn the_noise_that_driftless_writes_is_read_with_all_digits_and_files_come_first() {
-    let imu = ImuSensor { noise: noise(), rate_hz: 200.0, gravity_magnitude: Some(9.79) };
+    let imu = ImuSensor { noise: noise(), rate_hz: 200.0, gravity_magnitude: Some(9.79), intrinsics: None };
     let (folder, path) = Carried { imu: Some(imu.clone()), ..Carried::complete() }.write();
     let recording = Recording::open(&path).unwrap();
     assert_eq!(recording.calibration().imu, Some(imu));
@@ -185,6 +228,6 @@ fn a_time_shift_is_not_added_twice() {
     };
     assert_eq!(first_ns(None), 10 * MS);
     // Driftless has recorded the images on the clock of the IMU.
-    let imu = ImuSensor { noise: noise(), rate_hz: 200.0, gravity_magnitude: None };
+    let imu = ImuSensor { noise: noise(), rate_hz: 200.0, gravity_magnitude: None, intrinsics: None };
     assert_eq!(first_ns(Some(imu)), 0);
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{Image, Imu, JointState};
+use ros_messages::sensor_msgs::{Image, Imu, JointState, NavSatFix};
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, encode};
@@ -31,6 +31,7 @@ pub enum Body {
     Imu(Box<Imu>),
     Image(Image),
     Joints(JointState),
+    Fix(Box<NavSatFix>),
     Odometry(Box<Odometry>),
     Transforms(TFMessage),
 }
@@ -42,6 +43,7 @@ impl Message {
             Body::Imu(imu) => &mut imu.header,
             Body::Image(image) => &mut image.header,
             Body::Joints(joints) => &mut joints.header,
+            Body::Fix(fix) => &mut fix.header,
             Body::Odometry(odometry) => &mut odometry.header,
             Body::Transforms(_) => return,
         };
@@ -143,6 +145,7 @@ fn write(path: &Path, messages: &[Message]) {
             Body::Imu(message) => put(&mut bag, topic, *log_ns, &**message),
             Body::Image(message) => put(&mut bag, topic, *log_ns, message),
             Body::Joints(message) => put(&mut bag, topic, *log_ns, message),
+            Body::Fix(message) => put(&mut bag, topic, *log_ns, &**message),
             Body::Odometry(message) => put(&mut bag, topic, *log_ns, &**message),
             Body::Transforms(message) => put(&mut bag, topic, *log_ns, message),
         }

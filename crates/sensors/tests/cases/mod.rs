@@ -2,6 +2,7 @@
 
 mod carried;
 mod foxglove;
+mod gnss;
 mod images;
 mod making;
 mod stamps;

@@ -16,6 +16,7 @@
 //! | `map_change` | how the map moves in the middle of a run |
 //! | [`calibration`] | the errors of the calibration that the filter is given |
 //! | [`wheels`] | the true calibration of the wheels, and noise and slip of their readings |
+//! | [`gnss`] | positions of GNSS, and reflections |
 //! | `trial` | one run |
 //! | [`mod@score`], [`report`] | statistics over all runs, and their table |
 //!
@@ -37,6 +38,7 @@
 mod answers;
 pub mod calibration;
 mod disturbance;
+pub mod gnss;
 mod lie;
 mod map_change;
 mod noisy_map;
@@ -51,6 +53,7 @@ mod tests;
 
 pub use calibration::{CalibrationError, CalibrationErrors};
 pub use disturbance::{Disturbance, DisturbedState, Rescue};
+pub use gnss::{GnssJump, GnssOptions};
 pub use lie::Lie;
 pub use map_change::MapChangeOptions;
 pub use score::{EnsembleScore, OutputScore, ScoreOptions, score};
@@ -88,6 +91,8 @@ pub struct MonteCarloOptions {
     pub calibration: CalibrationErrors,
     /// The wheels, for variants whose settings have some.
     pub wheels: Option<WheelOptions>,
+    /// GNSS, for variants whose settings have an antenna.
+    pub gnss: Option<GnssOptions>,
     /// What the filter starts from.
     pub start: FilterStart,
     /// Undetected failures of the filter in the middle of the run.
@@ -118,6 +123,7 @@ impl Default for MonteCarloOptions {
             map_change: None,
             calibration: CalibrationErrors::default(),
             wheels: None,
+            gnss: None,
             start: FilterStart::KnownBiases,
             disturbance: None,
         }
@@ -201,7 +207,8 @@ pub struct VariantRuns {
     pub trials: Vec<Trial>,
 }
 
-/// The simulated world in G, with gravity along -x as in the paper's simulations: the filter must not assume z.
+/// The simulated world in G, with gravity along -x as in the paper's simulations: the filter must not assume z. Runs without a map have
+/// a G with z up, as positions of GNSS have.
 fn global_from_world() -> Pose {
     Pose::new(rotation::exp(&(Vector3::y() * FRAC_PI_2)), Vector3::zeros())
 }

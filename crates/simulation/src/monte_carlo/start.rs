@@ -4,7 +4,6 @@
 //! attitude. So the errors of the very first estimate are a sample of its covariance in all 15 numbers, yaw and position
 //! included, and the NEES has its expectation from the first image on.
 
-use super::global_from_world;
 use crate::random::{Purpose, normal, stream};
 use crate::spline::Motion;
 use estimator::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, VELOCITY};
@@ -27,12 +26,14 @@ pub(crate) struct Start {
 /// # Arguments
 /// * `motion`: the truth at `stamp_ns`, of the IMU in the simulated world.
 /// * `biases`: true biases of gyroscope (rad/s) and accelerometer (m/s^2) then.
+/// * `global_from_world`: the world's frame in G.
 pub(crate) fn draw(
     seed: u64,
     stamp_ns: i64,
     motion: &Motion,
     biases: (Vector3<f64>, Vector3<f64>),
     sigmas: &InitialSigmas,
+    global_from_world: &Pose,
 ) -> Start {
     let mut initial =
         InitialState::from_truth(stamp_ns, &motion.pose, &motion.velocity, &-Vector3::z(), *sigmas);
@@ -45,7 +46,7 @@ pub(crate) fn draw(
     initial.imu.velocity -= error.fixed_rows::<3>(VELOCITY);
     initial.imu.gyroscope_bias = biases.0 - error.fixed_rows::<3>(GYROSCOPE_BIAS);
     initial.imu.accelerometer_bias = biases.1 - error.fixed_rows::<3>(ACCELEROMETER_BIAS);
-    Start { initial, global_from_local: global_from_world() * world_from_local }
+    Start { initial, global_from_local: *global_from_world * world_from_local }
 }
 
 /// A sample of the error `[dtheta, dp, dv, db_g, db_a]`.

@@ -8,11 +8,12 @@ use super::{CalibrationError, FilterStart, MonteCarloOptions, Rescue, Variant, g
 use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
 use estimator::{
-    Alarm, CalibratedCamera, CloneId, Estimated, Estimator, EstimatorError, ImuSample, Initializer,
-    Localization, MapMode, TrackObservation, WheelReading, WheelReport,
+    Alarm, CalibratedCamera, CloneId, Estimated, Estimator, EstimatorError, GnssCounts, GnssReading,
+    ImuSample, Initializer, Localization, MapMode, TrackObservation, WheelReading, WheelReport,
 };
 use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors, run_errors_in};
+use geometry::Pose;
 use nalgebra::Vector3;
 use sensors::{Frame, Sequence, TruthRow};
 use serde::Serialize;
@@ -63,6 +64,10 @@ pub struct Trial {
     pub wheels: Option<WheelReport>,
     /// When the wheels were first left out, seconds since the begin.
     pub wheels_left_out_s: Option<f64>,
+    /// What GNSS did; `None` without it.
+    pub gnss: Option<GnssCounts>,
+    /// When GNSS was first left out, seconds since the begin.
+    pub gnss_left_out_s: Option<f64>,
 }
 
 /// What all variants of a seed share.
@@ -75,6 +80,9 @@ struct Seed<'a> {
     change: Option<MapChange>,
     /// Empty without wheels.
     wheels: Vec<WheelReading>,
+    /// Empty without GNSS.
+    gnss: Vec<GnssReading>,
+    global_from_world: Pose,
     options: &'a MonteCarloOptions,
 }
 
@@ -95,7 +103,11 @@ pub(crate) fn run_seed(
     };
     let wheels = options.wheels.as_ref();
     let wheels = wheels.map(|wheels| wheels.record(seed, &world.live_trajectory)).unwrap_or_default();
-    let one = Seed { number: seed, world, live, answers, change, wheels, options };
+    let global_from_world = if uses_map { global_from_world() } else { Pose::identity() };
+    let gnss = options.gnss.as_ref();
+    let gnss =
+        gnss.map(|gnss| gnss.record(seed, &world.live_trajectory, &global_from_world)).unwrap_or_default();
+    let one = Seed { number: seed, world, live, answers, change, wheels, gnss, global_from_world, options };
     Ok(variants.iter().map(|variant| one.run(variant)).collect())
 }
 
@@ -106,12 +118,14 @@ struct Player<'a> {
     next_frame: usize,
     next_reading: usize,
     next_wheels: usize,
+    next_gnss: usize,
     /// The reply to the previous image, with that image's clone.
     pending: Option<(CloneId, &'a Answer)>,
     states: Vec<StateRow>,
     map: MapCounts,
     alarm_ns: Option<i64>,
     wheels_left_out_ns: Option<i64>,
+    gnss_left_out_ns: Option<i64>,
     /// The next initialization: the first one, or where the estimator gave up after a disturbance.
     initializer: Option<Initializer>,
     rescue: Option<Rescue>,
@@ -157,6 +171,8 @@ impl Seed<'_> {
             readout_times: None,
             wheels: None,
             wheels_left_out_s: None,
+            gnss: None,
+            gnss_left_out_s: None,
         };
         let estimator = match Estimator::new(variant.config.clone(), stated.rig.clone(), &start.initial) {
             Ok(estimator) => estimator,
@@ -171,11 +187,13 @@ impl Seed<'_> {
             next_frame: 0,
             next_reading: 0,
             next_wheels: 0,
+            next_gnss: 0,
             pending: None,
             states: Vec::new(),
             map: MapCounts::default(),
             alarm_ns: None,
             wheels_left_out_ns: None,
+            gnss_left_out_ns: None,
             initializer: initializes.then(|| Initializer::new(variant.config.clone(), stated.rig.clone())),
             rescue: None,
             is_answered: false,
@@ -200,9 +218,11 @@ impl Seed<'_> {
         trial.wheels = player.estimator.wheel_report();
         let seconds = |stamp_ns: i64| (stamp_ns - begin_ns) as f64 * 1e-9;
         trial.wheels_left_out_s = player.wheels_left_out_ns.map(seconds);
+        trial.gnss = player.estimator.gnss_counts();
+        trial.gnss_left_out_s = player.gnss_left_out_ns.map(seconds);
         let truth = self.truth(&player.states);
         trial.errors = if initializes {
-            let gravity_in_global = global_from_world().rotation * -Vector3::z();
+            let gravity_in_global = self.global_from_world.rotation * -Vector3::z();
             run_errors(&player.states, &truth, gravity_in_global).ok()
         } else {
             run_errors_in(&player.states, &truth, start.global_from_local).ok()
@@ -223,7 +243,7 @@ impl Seed<'_> {
             FilterStart::KnownBiases => initial.with_known_biases(),
             FilterStart::UnknownBiases | FilterStart::Initialization => initial,
         };
-        start::draw(self.number, begin_ns, &motion, biases, &sigmas)
+        start::draw(self.number, begin_ns, &motion, biases, &sigmas, &self.global_from_world)
     }
 
     /// Plays a run to its end, or to where it is disturbed.
@@ -255,6 +275,11 @@ impl Seed<'_> {
                 player.next_wheels += 1;
                 // What is refused is counted.
                 let _ = player.estimator.wheels(*reading);
+            }
+            while let Some(reading) = self.gnss.get(player.next_gnss).filter(|next| next.stamp_ns <= until_ns)
+            {
+                player.next_gnss += 1;
+                let _ = player.estimator.gnss(*reading);
             }
             let change = self.change.as_ref().filter(|change| change.stamp_ns == frame.stamp_ns);
             match player.frame(frame, stamp_ns, variant, answer, change) {
@@ -304,7 +329,7 @@ impl Seed<'_> {
     fn note_rescue(&self, player: &mut Player<'_>) {
         if let Some(rescue) = player.rescue.as_mut().filter(|_| player.initializer.is_none()) {
             let truth = self.world.live_trajectory.at(player.estimator.stamp_ns()).pose;
-            rescue.note(&player.estimator, &(global_from_world() * truth), player.is_answered);
+            rescue.note(&player.estimator, &(self.global_from_world * truth), player.is_answered);
         }
     }
 
@@ -312,7 +337,7 @@ impl Seed<'_> {
     fn truth(&self, states: &[StateRow]) -> Vec<TruthRow> {
         let row = |state: &StateRow| TruthRow {
             stamp_ns: state.stamp_ns,
-            pose: global_from_world() * self.world.live_trajectory.at(state.stamp_ns).pose,
+            pose: self.global_from_world * self.world.live_trajectory.at(state.stamp_ns).pose,
             velocity: None,
             gyroscope_bias: None,
             accelerometer_bias: None,
@@ -362,6 +387,9 @@ impl<'a> Player<'a> {
         let are_wheels_out = self.estimator.alarms().iter().any(|alarm| matches!(alarm, Alarm::Wheels(_)));
         if are_wheels_out {
             self.wheels_left_out_ns.get_or_insert(stamp_ns);
+        }
+        if self.estimator.alarms().iter().any(|alarm| matches!(alarm, Alarm::Gnss(_))) {
+            self.gnss_left_out_ns.get_or_insert(stamp_ns);
         }
         self.estimator.track_update(&tracks)?;
         if let Some(change) = change {

@@ -37,5 +37,5 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Rig, CalibrationError> {
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
 fn imu(path: &Path, rate_hz: f64, densities: [(&str, f64); 4]) -> Result<ImuSensor, CalibrationError> {
     let noise = imu_noise(path, densities)?;
-    Ok(ImuSensor { noise, rate_hz, gravity_magnitude: None })
+    Ok(ImuSensor { noise, rate_hz, gravity_magnitude: None, intrinsics: None })
 }

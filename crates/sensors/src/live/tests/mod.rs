@@ -35,8 +35,9 @@ fn calibration(cameras: usize) -> SensorCalibration {
         distortion: Distortion::None,
     };
     let sensor = CameraSensor::new(camera, Pose::identity(), 20.0);
-    let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None };
-    SensorCalibration { imu: Some(imu), cameras: vec![sensor; cameras], wheels: None }
+    let imu =
+        ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None, intrinsics: None };
+    SensorCalibration { imu: Some(imu), cameras: vec![sensor; cameras], wheels: None, gnss: None }
 }
 
 fn reading(stamp_ns: i64) -> ImuSample {

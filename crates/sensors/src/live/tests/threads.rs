@@ -35,7 +35,7 @@ fn what_drivers_hand_in_on_their_threads_comes_out_decoded() {
                 assert_eq!(frame.images[&0].read().unwrap().width(), SIZE.0);
                 frames += 1;
             }
-            SensorEvent::Wheels(_) => unreachable!("there are none"),
+            SensorEvent::Wheels(_) | SensorEvent::Gnss(_) => unreachable!("there are none"),
             SensorEvent::Tick => {}
         }
     }

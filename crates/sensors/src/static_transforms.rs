@@ -1,46 +1,49 @@
-//! Where the sensors of a bag are mounted, by its `/tf_static`.
+//! Where the sensors of a robot are mounted, by its `/tf_static`.
 
-use super::messages;
-use bags::Bag;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use ros_messages::geometry_msgs::Transform;
 use ros_messages::tf2_msgs::TFMessage;
 use std::collections::BTreeMap;
 
-const TOPIC: &str = "tf_static";
-const TYPE: &str = "tf2_msgs/TFMessage";
 /// A quaternion whose norm is so near to one is taken with all its digits: that of a rotation which was written as it is.
 const WRITTEN_NORM: f64 = 1e-15;
 
 /// The transforms that do not change: of each frame its parent, and `parent_from_frame`. The newest counts.
-#[derive(Debug, Default)]
-pub(super) struct StaticTransforms(BTreeMap<String, (String, Pose)>);
+///
+/// ```
+/// use geometry::Pose;
+/// use ros_messages::{builtin_interfaces::Time, tf2_msgs::TFMessage};
+/// use sensors::ros::{StaticTransforms, transform_message};
+///
+/// let transform = transform_message(Time::default(), "base_link", "imu", &Pose::identity());
+/// let mut transforms = StaticTransforms::default();
+/// transforms.add(&TFMessage { transforms: vec![transform] });
+/// assert_eq!(transforms.between("imu", "base_link"), Some(Pose::identity()));
+/// assert_eq!(transforms.between("imu", "cam0"), None);
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct StaticTransforms(BTreeMap<String, (String, Pose)>);
 
 impl StaticTransforms {
-    /// Reads all messages of `/tf_static`, also of one in a namespace; what is no transform is left out.
-    pub(super) fn read(bag: &Bag) -> Self {
-        let mut transforms = BTreeMap::new();
-        for (index, topic) in bag.topics().iter().enumerate() {
-            if topic.type_name != TYPE || topic.name.rsplit('/').next() != Some(TOPIC) {
-                continue;
-            }
-            let messages = topic.messages.iter().map(|message| messages::read(bag, index, message.place));
-            for message in messages.filter_map(|message: Result<TFMessage, _>| message.ok()) {
-                for stamped in message.transforms {
-                    let Some(parent_from_frame) = pose_of(&stamped.transform) else { continue };
-                    let parent = name(&stamped.header.frame_id).to_owned();
-                    let frame = name(&stamped.child_frame_id).to_owned();
-                    transforms.insert(frame, (parent, parent_from_frame));
-                }
-            }
+    /// Takes what a message states; what is no transform is left out.
+    pub fn add(&mut self, message: &TFMessage) {
+        for stamped in &message.transforms {
+            let Some(parent_from_frame) = pose_of(&stamped.transform) else { continue };
+            let parent = name(&stamped.header.frame_id).to_owned();
+            let frame = name(&stamped.child_frame_id).to_owned();
+            self.0.insert(frame, (parent, parent_from_frame));
         }
-        Self(transforms)
+    }
+
+    /// Where the robot is on its IMU: `imu_from_base`; `None` where that is not known, or is the place of no sensor.
+    pub fn imu_from_base(&self, imu: &str, base: &str) -> Option<Pose> {
+        self.between(imu, base).filter(|imu_from_base| geometry::check_mount(imu_from_base).is_ok())
     }
 
     /// `a_from_b`, by the nearest frame that both are mounted on; `None` where there is none, and for names that say nothing:
     /// those of one frame, and empty ones.
-    pub(super) fn between(&self, a: &str, b: &str) -> Option<Pose> {
+    pub fn between(&self, a: &str, b: &str) -> Option<Pose> {
         let (a, b) = (name(a), name(b));
         if a.is_empty() || b.is_empty() || a == b {
             return None;

@@ -1,0 +1,114 @@
+//! Updates by GNSS.
+
+use super::Estimator;
+use crate::error::EstimatorError;
+use crate::gnss::alignment::{Located, align};
+use crate::gnss::measurement::{Between, GnssMeasurement, antenna_in_local};
+use crate::gnss::report::GnssCounts;
+use crate::gnss::{BadGnssReading, Gnss};
+use types::GnssReading;
+
+/// A map that corrected the pose within this time supports the state against GNSS, nanoseconds.
+const MAP_SUPPORTS_NS: i64 = 60_000_000_000;
+
+impl Estimator {
+    /// Stores a position of GNSS for the next [`Self::time_update`]. Readings come in the order of time, and are used at the first
+    /// image behind them. Without [`EstimatorConfig::gnss`](crate::EstimatorConfig::gnss) it does nothing.
+    ///
+    /// # Errors
+    /// [`BadGnssReading`]: the reading was dropped; the filter goes on.
+    pub fn gnss(&mut self, reading: GnssReading) -> Result<(), BadGnssReading> {
+        self.gnss.as_mut().map_or(Ok(()), |gnss| gnss.push(reading))
+    }
+
+    /// What GNSS did; `None` without it.
+    pub fn gnss_counts(&self) -> Option<GnssCounts> {
+        self.gnss.as_ref().map(|gnss| gnss.counts)
+    }
+
+    /// Takes in the newest clone, and makes the updates that are due.
+    pub(super) fn gnss_updates(&mut self) -> Result<(), EstimatorError> {
+        let Some(mut gnss) = self.gnss.take() else { return Ok(()) };
+        if let Some(newest) = self.state.clones.last() {
+            gnss.add_clone(newest.id, self.state.stamp_ns);
+        }
+        let mut done = Ok(());
+        while let (Ok(()), Some((reading, between))) = (&done, gnss.next_due(&self.state)) {
+            done = self.gnss_update(&mut gnss, &reading, &between);
+        }
+        self.gnss = Some(gnss);
+        done
+    }
+
+    /// Tests one reading and uses it, or what it initializes.
+    fn gnss_update(
+        &mut self,
+        gnss: &mut Gnss,
+        reading: &GnssReading,
+        between: &Between,
+    ) -> Result<(), EstimatorError> {
+        let antenna = gnss.config.antenna();
+        let Some(in_local) = antenna_in_local(&self.state, between, &antenna) else { return Ok(()) };
+        gnss.locate(Located {
+            stamp_ns: reading.stamp_ns,
+            in_local,
+            in_global: reading.position,
+            covariance: reading.covariance,
+        });
+        let Some(transform) = self.state.transform else {
+            gnss.counts.before_initialization += 1;
+            self.initialize_by_gnss(gnss, i64::MIN);
+            return Ok(());
+        };
+        let first = self.config.first_estimates;
+        let Some(measurement) =
+            GnssMeasurement::new(&self.state, between, &antenna, &reading.position, first)
+        else {
+            return Ok(());
+        };
+        let is_accepted = measurement.whiten(&reading.covariance, &mut gnss.rows)
+            && gnss.gate.accepts(self.covariance.nis(&gnss.rows)?, gnss.rows.residual.len());
+        let apart_m = (reading.position - transform.transform(&in_local)).norm();
+        let is_trusted = gnss.watch.is_trusted();
+        gnss.watch.note(reading.stamp_ns, is_accepted, &in_local, apart_m);
+        gnss.counts.left_out += usize::from(!is_trusted);
+        gnss.counts.gated += usize::from(is_trusted && !is_accepted);
+        if is_trusted && is_accepted {
+            let covariance = gnss.inflated(reading);
+            if measurement.whiten(&covariance, &mut gnss.rows) {
+                self.covariance.measurement_update(&gnss.rows, &mut self.correction)?;
+                self.state.retract(&self.correction);
+                gnss.counts.used += 1;
+                gnss.last_used_ns = Some(reading.stamp_ns);
+                self.last_gnss_update_ns = Some(self.state.stamp_ns);
+            }
+        }
+        let is_supported =
+            self.last_map_update_ns.is_some_and(|last_ns| self.state.stamp_ns - last_ns < MAP_SUPPORTS_NS);
+        if let Some(since_ns) = gnss.watch.long_since_ns().filter(|_| !is_supported) {
+            self.initialize_by_gnss(gnss, since_ns);
+        }
+        Ok(())
+    }
+
+    /// Initializes `global_from_local` by the readings since a time, where they fit odometry and show the yaw.
+    fn initialize_by_gnss(&mut self, gnss: &mut Gnss, since_ns: i64) {
+        let begin = gnss.located.partition_point(|located| located.stamp_ns < since_ns);
+        let located = &gnss.located.make_contiguous()[begin..];
+        let config = &gnss.config;
+        let local_now = self.local_from_imu();
+        let found = align(located, config.correlation_time_s, config.sigma_tilt_rad, &local_now);
+        let Some(found) = found.filter(|found| found.sigma_yaw_rad <= config.initial_sigma_yaw_rad) else {
+            return;
+        };
+        self.remove_transform();
+        self.insert_transform(&found.transform);
+        // Along the way, not from one view: what its covariance says is to be believed.
+        self.known_in_map = true;
+        self.lost_after = None;
+        self.last_gnss_update_ns = Some(self.state.stamp_ns);
+        gnss.last_used_ns = gnss.located.back().map(|last| last.stamp_ns);
+        gnss.watch.clear();
+        gnss.counts.initializations += 1;
+    }
+}

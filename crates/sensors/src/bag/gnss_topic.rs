@@ -1,0 +1,81 @@
+//! GNSS of a bag.
+
+use super::index::{Stamped, StampedTopic};
+use super::messages;
+use super::recorded_calibration::{imu_frame, static_transforms};
+use super::rows::Values;
+use super::topics::{NAV_SAT_FIX, named, wrong};
+use crate::gnss_intake::GnssIntake;
+use crate::ros_gnss::satellite_position;
+use crate::{CalibrationFiles, GnssReading, GnssSensor, SequenceError};
+use bags::Bag;
+use ros_messages::sensor_msgs::NavSatFix;
+use std::sync::Arc;
+
+/// How positions are read from a topic.
+#[derive(Clone, Debug)]
+pub(super) struct GnssTopic {
+    /// Frame of the antenna.
+    frame: String,
+    sensor: GnssSensor,
+}
+
+impl GnssTopic {
+    /// Finds the topic that is named.
+    ///
+    /// # Errors
+    /// [`SequenceError::Topics`]: it is not there, of another type, has no position, or the origin is not known.
+    pub(super) fn find(bag: &Bag, files: &CalibrationFiles) -> Result<Option<(usize, Self)>, SequenceError> {
+        let Some(name) = &files.gnss_topic else { return Ok(None) };
+        let topic = named(bag, name, "--gnss-topic", &[NAV_SAT_FIX])?;
+        if let Some(why) = messages::unreadable(bag, topic) {
+            return Err(wrong(bag, format!("{name} cannot be read: {why}")));
+        }
+        let Some(origin) = files.gnss_origin else {
+            return Err(wrong(
+                bag,
+                format!("{name}: the origin of the frame is not known: give --gnss-origin"),
+            ));
+        };
+        let sensor = GnssSensor { origin: Some(origin), ..GnssSensor::default() };
+        let intake = GnssIntake::new(&sensor);
+        let recorded = bag.topics()[topic].messages.iter();
+        let mut found = recorded.filter_map(|message| {
+            let message: NavSatFix = messages::read(bag, topic, message.place).ok()?;
+            satellite_position(&message).is_ok().then_some(message)
+        });
+        let Some(first) = found.next() else {
+            return Err(wrong(bag, format!("{name} has no message with a position")));
+        };
+        // An origin elsewhere is a mistake in the switch, not in each message.
+        if let Ok(position) = satellite_position(&first) {
+            let taken = intake.take(position.stamp_ns, &position.geodetic, position.covariance);
+            taken.map_err(|problem| wrong(bag, format!("{name}: {problem}")))?;
+        }
+        Ok(Some((topic, Self { frame: first.header.frame_id, sensor })))
+    }
+
+    /// The antenna, where `/tf_static` says where its frame is.
+    ///
+    /// # Arguments
+    /// * `imu`: topic of the IMU.
+    pub(super) fn calibration(&self, bag: &Bag, imu: Option<usize>) -> Option<GnssSensor> {
+        let imu_from_antenna = static_transforms(bag).between(&imu_frame(bag, imu?), &self.frame)?;
+        Some(GnssSensor { antenna_in_imu: imu_from_antenna.translation, ..self.sensor })
+    }
+
+    /// The positions of a topic that was found; messages without one are left out.
+    pub(super) fn rows(
+        &self,
+        bag: &Arc<Bag>,
+        topic: &Arc<StampedTopic>,
+    ) -> impl Iterator<Item = Result<GnssReading, SequenceError>> + use<> {
+        let intake = GnssIntake::new(&self.sensor);
+        let values = Values::new(bag, topic, move |bag: &Bag, topic, message: Stamped| {
+            let message = messages::read::<NavSatFix>(bag, topic, message.place).ok()?;
+            let position = satellite_position(&message).ok()?;
+            intake.take(position.stamp_ns, &position.geodetic, position.covariance).ok()
+        });
+        values.map(|(stamp_ns, reading)| Ok(GnssReading { stamp_ns, ..reading }))
+    }
+}
