@@ -105,7 +105,7 @@ fn images_are_localized_in_a_model_of_colmap() {
         others: &mut [],
         max_features: MAP_FEATURES,
         mask: None,
-        stereo: false,
+        cameras: 1,
     };
     let folder = recording("images").join("v1_01_keyframes/mav0/cam0/data");
     let read = |name: &str| GrayImage::read(&folder.join(name.trim_start_matches("cam0/")));

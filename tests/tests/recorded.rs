@@ -217,7 +217,7 @@ fn extraction_by(extractor: &mut Box<dyn FeatureExtractor>) -> Extraction<'_> {
         others: &mut [],
         max_features: 1000,
         mask: None,
-        stereo: true,
+        cameras: usize::MAX,
     }
 }
 

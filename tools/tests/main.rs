@@ -15,6 +15,10 @@ mod fleet;
 #[cfg(target_os = "linux")]
 mod full_disk;
 #[cfg(unix)]
+mod gnss;
+#[cfg(unix)]
+mod imu_model;
+#[cfg(unix)]
 mod kills;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod links;

@@ -17,8 +17,10 @@ pub const MAPPED_INVERSE_DEPTHS: [f64; 2] = [1.0 / MAX_DEPTH, 1.0 / MIN_DEPTH];
 pub struct LandmarkObservation {
     /// The view and its feature.
     pub feature: FeatureId,
-    /// Which camera; in a map 0, or 1 for the same feature matched in the image of the second camera.
+    /// Which camera of the body.
     pub camera: usize,
+    /// Whether it is the feature of the observation before it once more, matched in the image of the second camera of a stereo pair.
+    pub is_second: bool,
     /// Its pixel there (px).
     pub pixel: Vector2<f64>,
 }
@@ -35,7 +37,7 @@ impl LandmarkObservation {
 /// Inverse depth is well-behaved for landmarks without parallax, whose position would diverge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InverseDepthLandmark {
-    /// Index of the anchor's observation; in a map it is one of camera 0.
+    /// Index of the anchor's observation; in a map it is not one of a second camera.
     pub anchor: usize,
     /// Normalized coordinates in the anchor: its bearing.
     pub ray: Vector2<f64>,
@@ -60,9 +62,9 @@ pub struct Prediction {
 }
 
 impl InverseDepthLandmark {
-    /// Number of keyframes that observe it.
-    pub fn view_count(&self) -> usize {
-        self.observations.iter().filter(|observation| observation.camera == 0).count()
+    /// Number of images that observe it; a stereo pair counts once.
+    pub fn image_count(&self) -> usize {
+        self.observations.iter().filter(|observation| !observation.is_second).count()
     }
 
     /// Index of the anchor's view.
@@ -211,26 +213,26 @@ impl InverseDepthLandmark {
         self
     }
 
-    /// Removes observations for which `keep` is false, and those by camera 1 in keyframes whose camera 0 no longer observes
-    /// it. `None` where fewer than `least` keyframes are left, unless one observes it in stereo. The anchor must be kept or
+    /// Removes observations for which `keep` is false, and those by second cameras where the first one no longer observes
+    /// it. `None` where fewer than `least` images are left, unless a stereo pair observes it. The anchor must be kept or
     /// changed before.
     pub fn retained(&self, keep: &[bool], least: usize) -> Option<InverseDepthLandmark> {
-        let kept_views: Vec<usize> = self
+        let kept_features: Vec<FeatureId> = self
             .observations
             .iter()
             .zip(keep)
-            .filter(|(observation, keep)| **keep && observation.camera == 0)
-            .map(|(observation, _)| observation.view())
+            .filter(|(observation, keep)| **keep && !observation.is_second)
+            .map(|(observation, _)| observation.feature)
             .collect();
         let keep: Vec<bool> = self
             .observations
             .iter()
             .zip(keep)
-            .map(|(s, keep)| *keep && kept_views.contains(&s.view()))
+            .map(|(s, keep)| *keep && kept_features.contains(&s.feature))
             .collect();
         let landmark = self.clone().without(&keep);
-        let enough = kept_views.len() >= least
-            || landmark.observations.iter().any(|observation| observation.camera > 0);
+        let enough = kept_features.len() >= least
+            || landmark.observations.iter().any(|observation| observation.is_second);
         (keep[self.anchor] && enough).then_some(landmark)
     }
 }

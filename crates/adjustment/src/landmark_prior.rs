@@ -81,6 +81,7 @@ impl LandmarkPrior {
         let observation = |(at, observer): (usize, &StoredObserver<'_>)| LandmarkObservation {
             feature: (at, 0),
             camera: at,
+            is_second: false,
             pixel: observer.pixel,
         };
         let mut landmark = InverseDepthLandmark {
@@ -117,6 +118,7 @@ impl LandmarkPrior {
         let anchor = LandmarkObservation {
             feature: (observers.first()?.view, 0),
             camera: 0,
+            is_second: false,
             pixel: observers.first()?.pixel,
         };
         Some(InverseDepthLandmark { observations: vec![anchor], prior: Some(prior), ..landmark })

@@ -62,7 +62,10 @@ impl Scene {
                 let MountedCamera { camera: lens, rotation, offset, .. } = &cameras[camera];
                 let in_camera = rotation * poses[view].inverse_transform(&point) + offset;
                 let pixel = lens.project(&in_camera).unwrap();
-                (LandmarkObservation { feature: (view, index), camera, pixel }, in_camera)
+                (
+                    LandmarkObservation { feature: (view, index), camera, is_second: camera > 0, pixel },
+                    in_camera,
+                )
             };
             let all: Vec<_> = (0..views * cameras.len()).map(seen).collect();
             let anchor = index % all.len();

@@ -3,22 +3,41 @@
 use std::collections::BTreeMap;
 
 use adjustment::{Bundle, InverseDepthLandmark, MountedCamera, ViewPose};
-use geometry::camera::Camera;
+use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
 use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use nalgebra::{DVector, Matrix6, Vector3};
 use protocol::KeyframeId;
 
+use super::camera::Rig;
 use super::error::BuildError;
-use super::joint_covariance::JointCovariance;
-use super::keyframe_view::KeyframeView;
+use super::joint_covariance::{JointCovariance, StatedKeyframe};
+use super::keyframe_view::{FeatureId, KeyframeImage, KeyframeView, keyframes};
 use super::options::BuildOptions;
 use super::report::{BuildReport, Spread};
 
-/// Ids count from 1, as in the recorded maps.
-pub(super) fn keyframe_id(view: usize) -> KeyframeId {
-    view as KeyframeId + 1
+/// Ids count from 1, as in the recorded maps, image by image of each view.
+pub(super) fn keyframe_id(rig: &Rig, view: usize, group: usize) -> KeyframeId {
+    (view * rig.groups.len() + group) as KeyframeId + 1
+}
+
+/// The keyframes of a view.
+///
+/// # Arguments
+/// * `pose`: of camera 0.
+/// * `offset`: added to the ids.
+pub(super) fn stated_keyframes(
+    rig: &Rig,
+    (view, content): (usize, &KeyframeView<'_>),
+    pose: &Pose,
+    offset: KeyframeId,
+) -> Vec<StatedKeyframe> {
+    let stated = |image: &KeyframeImage<'_>| StatedKeyframe {
+        id: offset + keyframe_id(rig, view, image.group),
+        mounting: rig.mounting(image.group, pose),
+    };
+    content.images.iter().map(stated).collect()
 }
 
 /// The map: poses with their covariances, refined landmarks in their anchors, raw pixels.
@@ -27,14 +46,14 @@ pub(super) fn keyframe_id(view: usize) -> KeyframeId {
 /// * `joint`: covariance of the bundle's poses; `None` to state the reference poses.
 /// * `sigma_px`: px.
 pub(super) fn map_contents(
-    camera: &Camera,
+    rig: &Rig,
     views: &[KeyframeView<'_>],
     bundle: &Bundle,
     joint: Option<&JointCovariance>,
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<MapContents, BuildError> {
-    let Some(first) = views.iter().find(|view| view.is_keyframe()) else {
+    let Some(first) = views.iter().find_map(|view| view.images.first()) else {
         return Err(BuildError::NoKeyframes);
     };
     let descriptors = &first.features.descriptors;
@@ -48,57 +67,66 @@ pub(super) fn map_contents(
     info.sigma_px = sigma_px;
     info.extractor.clone_from(&first.features.extractor);
     let mut contents = MapContents::empty(info);
-    let pose = |view: usize| match joint {
-        Some(joint) => PoseWithCovariance::new(bundle.poses[view], joint.own[&view]),
-        None => views[view].prior,
+    let given;
+    let (joint, poses) = if let Some(joint) = joint {
+        (joint, bundle.poses.clone())
+    } else {
+        let own = keyframes(views).into_iter().map(|view| (view, views[view].prior.covariance)).collect();
+        given = JointCovariance::of_independent(own);
+        (&given, views.iter().map(|view| view.prior.pose).collect())
     };
-    contents.keyframes = views
-        .iter()
-        .enumerate()
-        .filter(|(_, content)| content.is_keyframe())
-        .map(|(view, content)| Keyframe {
-            id: keyframe_id(view),
-            stamp_ns: content.stamp_ns,
-            global_from_keyframe: pose(view),
-            camera: camera.clone(),
-            features: None,
-        })
-        .collect();
-    if let Some(joint) = joint {
-        (contents.cross_covariances, contents.common_errors) =
-            joint.of_keyframes(|view| Some(keyframe_id(view)));
+    for (view, content) in views.iter().enumerate() {
+        let pose = &poses[view];
+        let keyframe = |image: &KeyframeImage<'_>| {
+            let covariance = joint.own[&view];
+            let mounting = rig.mounting(image.group, pose);
+            let covariance = mounting.map_or(covariance, |mounting| mounting.covariance(&covariance));
+            Keyframe {
+                id: keyframe_id(rig, view, image.group),
+                stamp_ns: content.stamp_ns,
+                global_from_keyframe: PoseWithCovariance::new(rig.camera_pose(image.group, pose), covariance),
+                camera: rig.camera(image.group).clone(),
+                features: None,
+            }
+        };
+        contents.keyframes.extend(content.images.iter().map(keyframe));
     }
-    let has_descriptors = |landmark: &&InverseDepthLandmark| {
-        landmark.observations.iter().all(|observation| {
-            let (view, feature) = observation.feature;
-            feature < views[view].features.len()
-        })
-    };
-    let landmarks = bundle.landmarks.iter().filter(has_descriptors);
+    (contents.cross_covariances, contents.common_errors) =
+        joint.of_keyframes(|view| stated_keyframes(rig, (view, &views[view]), &poses[view], 0));
+    let with_descriptors = bundle.landmarks.iter().filter_map(|landmark| map_landmark(rig, landmark, views));
     contents.landmarks =
-        (1..).zip(landmarks).map(|(id, landmark)| map_landmark(id, landmark, views)).collect();
+        (1..).zip(with_descriptors).map(|(id, landmark)| Landmark { id, ..landmark }).collect();
     contents.sort();
     contents.validate()?;
     Ok(contents)
 }
 
-fn map_landmark(id: u64, landmark: &InverseDepthLandmark, views: &[KeyframeView<'_>]) -> Landmark {
-    let map_observation = |&(view, feature): &(usize, usize)| Observation {
-        keyframe: keyframe_id(view),
-        pixel: views[view].features.pixels[feature],
-        descriptor: views[view].features.descriptors.get(feature).unwrap_or_default().to_vec(),
-    };
-    Landmark {
-        id,
-        anchor: keyframe_id(landmark.anchor_view()),
+/// An observation as a map states it; `None` of a point without descriptor.
+pub(super) fn map_observation(
+    rig: &Rig,
+    (view, feature): FeatureId,
+    views: &[KeyframeView<'_>],
+) -> Option<Observation> {
+    let (image, number) = views[view].in_image(feature)?;
+    Some(Observation {
+        keyframe: keyframe_id(rig, view, image.group),
+        pixel: *image.features.pixels.get(number)?,
+        descriptor: image.features.descriptors.get(number).unwrap_or_default().to_vec(),
+    })
+}
+
+/// A landmark without its id; `None` of a point without descriptors.
+fn map_landmark(rig: &Rig, landmark: &InverseDepthLandmark, views: &[KeyframeView<'_>]) -> Option<Landmark> {
+    let (anchor_view, anchor_feature) = landmark.observations[landmark.anchor].feature;
+    let observed = landmark.observations.iter().filter(|observation| !observation.is_second);
+    Some(Landmark {
+        id: 0,
+        anchor: keyframe_id(rig, anchor_view, views[anchor_view].group(anchor_feature)),
         position_in_anchor: landmark.ray.push(1.0) / landmark.inverse_depth,
-        observations: landmark
-            .observations
-            .iter()
-            .filter(|observation| observation.camera == 0)
-            .map(|observation| map_observation(&observation.feature))
-            .collect(),
-    }
+        observations: observed
+            .map(|observation| map_observation(rig, observation.feature, views))
+            .collect::<Option<_>>()?,
+    })
 }
 
 /// Fills in the statistics of the finished map.

@@ -3,13 +3,14 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use adjustment::MountedCamera;
+use geometry::CameraGroup;
 use geometry::camera::Camera;
 use nalgebra::Vector2;
 use protocol::FeatureSet;
 use sensors::{Frame, ImageData, Sequence};
 use vision::{FeatureExtractor, GrayImage, ImageFeatures};
 
+use super::camera::Rig;
 use super::error::BuildError;
 use super::stereo_matching::match_stereo;
 use vision::feature_set;
@@ -24,14 +25,14 @@ pub struct Extraction<'a> {
     pub max_features: usize,
     /// Zero where images of camera 0 show the robot itself: no features there.
     pub mask: Option<&'a GrayImage>,
-    /// Whether camera 1 is used too.
-    pub stereo: bool,
+    /// How many cameras are used, the first ones, at most all: each stereo pair or single camera makes keyframes of its own.
+    pub cameras: usize,
 }
 
 /// Where the features of frames come from.
 pub(super) struct FeatureSource<'e, 'r> {
     extraction: Option<Extraction<'e>>,
-    cameras: &'r [MountedCamera],
+    rig: &'r Rig,
     /// What was extracted ahead, by time (ns) and camera.
     ready: HashMap<(i64, usize), Extracted>,
     /// Images that could not be read, with the reason.
@@ -45,29 +46,49 @@ enum Extracted {
     Failed(BuildError),
 }
 
-/// The features of a frame.
-pub(super) struct FrameFeatures<'a> {
-    /// Camera 0.
+/// The features of the image of a stereo pair's first camera or of a single camera.
+pub(super) struct ImageWithFeatures<'a> {
+    /// With descriptors.
     pub(super) features: Cow<'a, FeatureSet>,
-    /// Pixel of each of them in camera 1, where it is matched there; empty without stereo.
+    /// Pixel of each of them in the second camera, where it is matched there; empty without stereo.
     pub(super) stereo: Vec<Option<Vector2<f64>>>,
 }
 
 impl<'e, 'r> FeatureSource<'e, 'r> {
     /// Features from the recording, or with `extraction` from its images.
-    pub(super) fn new(
-        extraction: Option<Extraction<'e>>,
-        cameras: &'r [MountedCamera],
-    ) -> FeatureSource<'e, 'r> {
-        FeatureSource { extraction, cameras, ready: HashMap::new(), unreadable: Vec::new() }
+    pub(super) fn new(extraction: Option<Extraction<'e>>, rig: &'r Rig) -> FeatureSource<'e, 'r> {
+        FeatureSource { extraction, rig, ready: HashMap::new(), unreadable: Vec::new() }
+    }
+
+    /// The stereo pairs and single cameras of which a frame can have features.
+    pub(super) fn groups_of(&self, frame: &Frame) -> impl Iterator<Item = usize> {
+        let has_features = |group: &CameraGroup| match &self.extraction {
+            Some(_) => frame.images.contains_key(&group.first),
+            // A recording has those of camera 0.
+            None => group.first == 0 && frame.features.as_ref().is_some_and(|features| !features.is_empty()),
+        };
+        let groups = self.rig.groups.iter().enumerate();
+        groups.filter(move |(_, group)| has_features(group)).map(|(index, _)| index)
     }
 
     /// Whether a frame can have features.
     pub(super) fn has_features(&self, frame: &Frame) -> bool {
-        match &self.extraction {
-            Some(_) => frame.images.contains_key(&0),
-            None => frame.features.as_ref().is_some_and(|features| !features.is_empty()),
-        }
+        self.groups_of(frame).next().is_some()
+    }
+
+    /// The cameras of which a keyframe needs the images.
+    pub(super) fn cameras_of(&self, frame: &Frame) -> impl Iterator<Item = usize> {
+        self.groups_of(frame).flat_map(|group| self.rig.groups[group].cameras())
+    }
+
+    /// The camera in whose image the features of a group are.
+    pub(super) fn camera_of(&self, group: usize) -> usize {
+        self.rig.groups[group].first
+    }
+
+    /// Its projection.
+    pub(super) fn projection_of(&self, group: usize) -> &'r Camera {
+        self.rig.camera(group)
     }
 
     /// The error for a recording without features.
@@ -84,43 +105,44 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         self.extraction.as_ref().map_or(0, |extraction| 1 + extraction.others.len())
     }
 
-    /// Whether camera 1 is used.
-    pub(super) fn is_stereo(&self) -> bool {
-        self.cameras.len() > 1 && self.extraction.as_ref().is_some_and(|extraction| extraction.stereo)
-    }
-
-    /// The features of camera 0; `None` where its image cannot be read, which is recorded in `unreadable`.
+    /// The features of a group's first camera; `None` where its image cannot be read, which is recorded in `unreadable`.
     ///
     /// # Errors
     /// [`BuildError::Extraction`], [`BuildError::ImageSize`].
     pub(super) fn features_of<'f>(
         &mut self,
         frame: &'f Frame,
+        group: usize,
     ) -> Result<Option<Cow<'f, FeatureSet>>, BuildError> {
         if self.extraction.is_none() {
             return Ok(frame.features.as_ref().map(Cow::Borrowed));
         }
-        Ok(self.extract(frame, 0)?.map(|features| Cow::Owned(self.named(features))))
+        let camera = self.camera_of(group);
+        Ok(self.extract(frame, camera)?.map(|features| Cow::Owned(self.named(features))))
     }
 
-    /// The features of camera 0 and where camera 1 sees them; `None` as in [`FeatureSource::features_of`].
+    /// The features of a group's first camera and where the second one sees them; `None` as in [`FeatureSource::features_of`].
     ///
     /// # Errors
     /// [`BuildError::Extraction`], [`BuildError::ImageSize`].
     pub(super) fn stereo_features_of<'f>(
         &mut self,
         frame: &'f Frame,
-    ) -> Result<Option<FrameFeatures<'f>>, BuildError> {
-        if !self.is_stereo() {
-            let features = self.features_of(frame)?;
-            return Ok(features.map(|features| FrameFeatures { features, stereo: Vec::new() }));
-        }
-        self.prepare(&[(frame, 0), (frame, 1)]);
-        let Some(first) = self.extract(frame, 0)? else { return Ok(None) };
+        group: usize,
+    ) -> Result<Option<ImageWithFeatures<'f>>, BuildError> {
+        let pair = self.rig.groups[group].second.zip(self.rig.second_camera(group));
+        let Some((second, mounted)) = pair.filter(|_| self.extraction.is_some()) else {
+            let features = self.features_of(frame, group)?;
+            return Ok(features.map(|features| ImageWithFeatures { features, stereo: Vec::new() }));
+        };
+        let first = self.camera_of(group);
+        self.prepare(&[(frame, first), (frame, second)]);
+        let Some(of_first) = self.extract(frame, first)? else { return Ok(None) };
+        let camera = self.projection_of(group);
         let stereo = self
-            .extract(frame, 1)?
-            .map_or_else(Vec::new, |second| match_stereo(self.cameras, &first, &second));
-        Ok(Some(FrameFeatures { features: Cow::Owned(self.named(first)), stereo }))
+            .extract(frame, second)?
+            .map_or_else(Vec::new, |of_second| match_stereo(camera, mounted, &of_first, &of_second));
+        Ok(Some(ImageWithFeatures { features: Cow::Owned(self.named(of_first)), stereo }))
     }
 
     /// Whether an image was extracted already.
@@ -137,7 +159,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
             .copied()
             .collect();
         let Some(extraction) = &mut self.extraction else { return };
-        let (cameras, max_features) = (self.cameras, extraction.max_features);
+        let (cameras, max_features) = (&self.rig.cameras, extraction.max_features);
         let mask = extraction.mask;
         let extract = move |extractor: &mut dyn FeatureExtractor, (frame, index): (&Frame, usize)| {
             let mask = mask.filter(|_| index == 0);

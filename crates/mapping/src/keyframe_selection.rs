@@ -1,5 +1,7 @@
 //! Keyframe selection: which images become keyframes.
 
+use std::collections::BTreeMap;
+
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector2};
@@ -8,8 +10,8 @@ use sensors::{Frame, ReferencePose, Sequence};
 use vision::{DescriptorError, MatchOptions, match_descriptors};
 
 use super::error::BuildError;
-use super::feature_source::{FeatureSource, FrameFeatures};
-use super::keyframe_view::{KeyframeView, descriptors};
+use super::feature_source::{FeatureSource, ImageWithFeatures};
+use super::keyframe_view::{KeyframeImage, KeyframeView, descriptors};
 use super::options::BuildOptions;
 use super::progress::{Progress, Stage};
 use super::reference_poses::ReferencePoses;
@@ -21,7 +23,7 @@ const EXTRACTION_THRESHOLD: f64 = 0.5;
 const EXTRACTION_STEP: f64 = 0.25;
 
 /// Selects keyframes: images with a pose, when the camera has moved enough since the last keyframe, or when too few of its
-/// features are matched.
+/// features are matched. All images of a frame become keyframes together.
 pub(super) fn select_keyframes<'a>(
     sequence: &'a Sequence,
     references: &[ReferencePose],
@@ -47,11 +49,11 @@ pub(super) fn select_keyframes<'a>(
         })
         .collect();
     let mut views: Vec<KeyframeView<'a>> = Vec::new();
-    let mut selector = KeyframeSelector::new(&sensor.camera, options);
+    let mut selector = KeyframeSelector::new(options);
     for (done, &(frame, ref prior)) in with_pose.iter().enumerate() {
         progress(Stage::KeyframeSelection, done, with_pose.len());
         let later = with_pose[done + 1..].iter().map(|(frame, prior)| (*frame, prior));
-        views.extend(selector.consider(views.last(), (frame, prior), later, source)?);
+        views.extend(selector.consider(&views, (frame, prior), later, source)?);
     }
     progress(Stage::KeyframeSelection, with_pose.len(), with_pose.len());
     if views.is_empty() {
@@ -83,75 +85,80 @@ pub(super) fn is_in_time(stamp_ns: i64, first_ns: i64, options: &BuildOptions) -
 }
 
 /// Selects keyframes from images that are given one by one.
+///
+/// Cameras that are triggered apart, whose images are frames of their own, have keyframes of their own.
 pub(super) struct KeyframeSelector<'o> {
-    camera: &'o Camera,
     options: &'o BuildOptions,
-    /// Motion since the last keyframe from which on the next image is compared with it.
-    next_comparison: f64,
+    /// Motion since the last keyframe from which on the next frame is compared with it, by the first group of the frame.
+    next_comparison: BTreeMap<usize, f64>,
 }
 
 impl<'o> KeyframeSelector<'o> {
     /// Before the first image.
-    pub(super) fn new(camera: &'o Camera, options: &'o BuildOptions) -> KeyframeSelector<'o> {
-        KeyframeSelector { camera, options, next_comparison: EXTRACTION_THRESHOLD }
+    pub(super) fn new(options: &'o BuildOptions) -> KeyframeSelector<'o> {
+        KeyframeSelector { options, next_comparison: BTreeMap::new() }
     }
 
-    /// Considers one image.
+    /// Considers one frame.
     ///
     /// # Arguments
-    /// * `last`: the last keyframe.
-    /// * `later`: images that come after this one, as far as they are known: some may be extracted ahead.
+    /// * `views`: the keyframes so far.
+    /// * `later`: frames that come after this one, as far as they are known: some may be extracted ahead.
     ///
     /// # Returns
-    /// The keyframe that it becomes.
+    /// The keyframes that its images become.
     ///
     /// # Errors
     /// As those of [`FeatureSource::stereo_features_of`].
     pub(super) fn consider<'f: 'l, 'l>(
         &mut self,
-        last: Option<&KeyframeView<'_>>,
+        views: &[KeyframeView<'_>],
         (frame, prior): (&'f Frame, &'l PoseWithCovariance),
         later: impl Iterator<Item = (&'l Frame, &'l PoseWithCovariance)>,
         source: &mut FeatureSource<'_, '_>,
     ) -> Result<Option<KeyframeView<'f>>, BuildError> {
-        let change = last.map_or(f64::INFINITY, |last| relative_motion(&last.prior, prior, self.options));
-        if change < self.next_comparison.min(1.0) {
+        let groups: Vec<usize> = source.groups_of(frame).collect();
+        let Some(&leading) = groups.first() else { return Ok(None) };
+        let shared =
+            |view: &KeyframeView<'_>| groups.iter().copied().find(|&group| view.image_of(group).is_some());
+        let last = views.iter().rev().find_map(|view| Some((view, shared(view)?)));
+        let next_comparison = self.next_comparison.get(&leading).copied().unwrap_or(EXTRACTION_THRESHOLD);
+        let change =
+            last.map_or(f64::INFINITY, |(last, _)| relative_motion(&last.prior, prior, self.options));
+        if change < next_comparison.min(1.0) {
             return Ok(None);
         }
         source.forget_before(frame.stamp_ns);
-        let wanted = self.wanted(last, std::iter::once((frame, prior)).chain(later), source);
+        let later = later.filter(|(frame, _)| source.groups_of(frame).next() == Some(leading));
+        let images = std::iter::once((frame, prior)).chain(later);
+        let wanted = self.wanted(last.map(|(last, _)| last.prior), next_comparison, images, source);
         if wanted.first().is_some_and(|(first, _)| first.stamp_ns == frame.stamp_ns) {
             source.prepare(&wanted);
         }
-        if let Some(last) = last.filter(|_| change < 1.0) {
-            self.next_comparison = change + EXTRACTION_STEP;
-            let Some(features) = source.features_of(frame)? else { return Ok(None) };
-            if overlap(last, &features)? >= self.options.min_overlap {
+        if let Some((last, group)) = last.filter(|_| change < 1.0) {
+            self.next_comparison.insert(leading, change + EXTRACTION_STEP);
+            let Some(features) = source.features_of(frame, group)? else { return Ok(None) };
+            let known = last.image_of(group).map_or(Ok(0.0), |known| overlap(known, &features))?;
+            if known >= self.options.min_overlap {
                 return Ok(None);
             }
         }
-        let Some(FrameFeatures { features, stereo }) = source.stereo_features_of(frame)? else {
-            return Ok(None);
-        };
-        if features.is_empty() {
-            return Ok(None);
+        let view = view_of(frame, prior, &groups, source)?;
+        if view.is_some() {
+            self.next_comparison.insert(leading, EXTRACTION_THRESHOLD);
         }
-        self.next_comparison = EXTRACTION_THRESHOLD;
-        let (stamp_ns, tracked) = (frame.stamp_ns, Vec::new());
-        let rays = rays(self.camera, &features);
-        Ok(Some(KeyframeView { stamp_ns, features, tracked, stereo, rays, prior: *prior }))
+        Ok(view)
     }
 
     /// The images, and of which camera, that are extracted next if those that are compared overlap enough: as many as are
     /// extracted at the same time.
     fn wanted<'l>(
         &self,
-        last: Option<&KeyframeView<'_>>,
+        mut last: Option<PoseWithCovariance>,
+        mut next_comparison: f64,
         images: impl Iterator<Item = (&'l Frame, &'l PoseWithCovariance)>,
         source: &FeatureSource<'_, '_>,
     ) -> Vec<(&'l Frame, usize)> {
-        let mut last = last.map(|last| last.prior);
-        let mut next_comparison = self.next_comparison;
         let mut wanted = Vec::new();
         for (frame, prior) in images {
             if wanted.len() >= source.at_once() {
@@ -163,8 +170,9 @@ impl<'o> KeyframeSelector<'o> {
                 continue;
             }
             let is_keyframe = change >= 1.0;
-            let cameras = if is_keyframe && source.is_stereo() { 0..2 } else { 0..1 };
-            let missing = cameras.filter(|&camera| !source.is_ready(frame, camera));
+            let compared = if is_keyframe { usize::MAX } else { 1 };
+            let missing =
+                source.cameras_of(frame).take(compared).filter(|&camera| !source.is_ready(frame, camera));
             wanted.extend(missing.map(|camera| (frame, camera)));
             next_comparison = change + EXTRACTION_STEP;
             if is_keyframe {
@@ -182,8 +190,38 @@ fn relative_motion(last: &PoseWithCovariance, now: &PoseWithCovariance, options:
     (distance / options.min_distance).max(angle / options.min_rotation)
 }
 
+/// The view of a frame, with its images that have features; `None` where there are none.
+fn view_of<'f>(
+    frame: &'f Frame,
+    prior: &PoseWithCovariance,
+    groups: &[usize],
+    source: &mut FeatureSource<'_, '_>,
+) -> Result<Option<KeyframeView<'f>>, BuildError> {
+    let (mut images, mut bearings, mut in_second) = (Vec::new(), Vec::new(), Vec::new());
+    for &group in groups {
+        let Some(ImageWithFeatures { features, stereo }) = source.stereo_features_of(frame, group)? else {
+            continue;
+        };
+        if features.is_empty() {
+            continue;
+        }
+        in_second.resize(bearings.len(), None);
+        in_second.extend(stereo);
+        bearings.extend(rays(source.projection_of(group), &features));
+        images.push(KeyframeImage { group, features });
+    }
+    Ok((!images.is_empty()).then(|| KeyframeView {
+        stamp_ns: frame.stamp_ns,
+        images,
+        tracked: Vec::new(),
+        stereo: in_second,
+        rays: bearings,
+        prior: *prior,
+    }))
+}
+
 /// The part of a keyframe's features that are matched in another image.
-fn overlap(last: &KeyframeView<'_>, features: &FeatureSet) -> Result<f64, DescriptorError> {
+fn overlap(last: &KeyframeImage<'_>, features: &FeatureSet) -> Result<f64, DescriptorError> {
     let (known, seen) = (last.descriptors()?, descriptors(features)?);
     let found = match_descriptors(known, seen, &MatchOptions::for_metric(known.metric()))?;
     Ok(found.len() as f64 / known.len().min(seen.len()).max(1) as f64)

@@ -2,19 +2,20 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use adjustment::{MountedCamera, POSE, RelativePose, StateCovariance, parallel};
+use adjustment::{POSE, RelativePose, StateCovariance, parallel};
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 use recognition::{LoadedMap, RecognitionOptions, VerifiedPlace};
 
 use super::assemble::keyframe_id;
+use super::camera::Rig;
 use super::error::BuildError;
 use super::keyframe_view::KeyframeView;
 use super::progress::{Progress, Stage};
 
-/// Loops of one view that are kept: those with the most matches.
-const LOOPS_A_VIEW: usize = 2;
+/// Loops of one image that are kept: those with the most matches.
+const LOOPS_AN_IMAGE: usize = 2;
 /// Least standard deviations of a loop (rad, m): landmarks of a map under construction are not exact.
 const MIN_SIGMAS: [f64; 2] = [0.01, 0.05];
 /// The standard deviations of a trajectory without loops are taken for so many times as large: those that calibration files
@@ -34,7 +35,7 @@ const GATE: f64 = 22.5;
 /// [`BuildError::Index`], [`BuildError::Recognition`].
 pub(super) fn find_loops(
     contents: MapContents,
-    cameras: &[MountedCamera],
+    rig: &Rig,
     views: &[KeyframeView<'_>],
     poses: &[Pose],
     least_gap: usize,
@@ -42,33 +43,38 @@ pub(super) fn find_loops(
 ) -> Result<Vec<RelativePose>, BuildError> {
     let gravity_in_global = contents.info.gravity_in_global;
     let map = LoadedMap::from_contents(contents)?;
-    let index_of: BTreeMap<u64, usize> = (0..views.len()).map(|view| (keyframe_id(view), view)).collect();
+    let mut view_of: BTreeMap<u64, usize> = BTreeMap::new();
+    for (view, content) in views.iter().enumerate() {
+        view_of.extend(content.images.iter().map(|image| (keyframe_id(rig, view, image.group), view)));
+    }
     let options = RecognitionOptions::default();
     let of_view = |view: usize| -> Result<Vec<RelativePose>, BuildError> {
         let content = &views[view];
         if !content.is_keyframe() || view < least_gap {
             return Ok(Vec::new());
         }
-        let gravity_in_camera = gravity_in_global.map(|down| poses[view].rotation.inverse() * down);
-        let latest = keyframe_id(view - least_gap);
-        let eligible = |keyframe: u64| keyframe <= latest;
-        let places = map.verified_places(
-            &cameras[0].camera,
-            &content.features,
-            gravity_in_camera,
-            &eligible,
-            &options,
-        )?;
-        let relative = |place: &VerifiedPlace| {
-            let earlier = index_of[&place.keyframe];
-            let first = &poses[earlier];
-            RelativePose {
-                views: [earlier, view],
-                first_from_second: first.inverse().compose(&place.global_from_camera.pose),
-                information: information(first, &place.global_from_camera.covariance),
-            }
-        };
-        Ok(places.iter().take(LOOPS_A_VIEW).map(relative).collect())
+        let eligible =
+            |keyframe: u64| view_of.get(&keyframe).is_some_and(|earlier| earlier + least_gap <= view);
+        let mut loops = Vec::new();
+        for image in &content.images {
+            let camera_pose = rig.camera_pose(image.group, &poses[view]);
+            let gravity_in_camera = gravity_in_global.map(|down| camera_pose.rotation.inverse() * down);
+            let camera = rig.camera(image.group);
+            let places =
+                map.verified_places(camera, &image.features, gravity_in_camera, &eligible, &options)?;
+            let relative = |place: &VerifiedPlace| {
+                let earlier = view_of[&place.keyframe];
+                let first = &poses[earlier];
+                let global_from_view = rig.body_pose(image.group, &place.global_from_camera);
+                RelativePose {
+                    views: [earlier, view],
+                    first_from_second: first.inverse().compose(&global_from_view.pose),
+                    information: information(first, &global_from_view.covariance),
+                }
+            };
+            loops.extend(places.iter().take(LOOPS_AN_IMAGE).map(relative));
+        }
+        Ok(loops)
     };
     let show = |done| progress(Stage::PlaceRecognition, done, views.len());
     let mut loops = Vec::new();

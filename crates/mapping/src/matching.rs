@@ -1,14 +1,16 @@
 //! Pairs of keyframes to match, and the matches of each pair.
 
-use std::collections::BTreeSet;
-
-use geometry::camera::Camera;
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix3, Vector2, Vector3};
+use std::collections::BTreeSet;
 use vision::MatchOptions;
 
+use super::camera::Rig;
 use super::error::BuildError;
 use super::keyframe_view::KeyframeView;
 use super::options::BuildOptions;
+use geometry::camera::Camera;
 
 /// Images whose optical axes differ by more than this are not matched with neighbours in time (rad).
 const MAX_ANGLE_IN_TIME: f64 = 1.2;
@@ -30,63 +32,129 @@ pub(super) struct FeatureMatch {
     pub(super) distance: f32,
 }
 
-/// Pairs of keyframes that are near in time, each with the smaller index first.
-pub(super) fn pairs_in_time(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
-    let of_view = |i: usize| {
-        let near_in_time = (i + 1)..(i + 1 + options.time_neighbours).min(views.len());
-        let same_direction = move |j: &usize| views[i].axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
-        near_in_time.filter(same_direction).map(move |j| (i, j))
-    };
-    let both_have_features = |&(i, j): &(usize, usize)| views[i].is_keyframe() && views[j].is_keyframe();
-    (0..views.len()).flat_map(of_view).filter(both_have_features).collect()
+/// A view, and which of its images.
+pub(super) type ImageId = (usize, usize);
+
+/// An image with the pose of its camera.
+struct PosedImage {
+    id: ImageId,
+    group: usize,
+    pose: Pose,
 }
 
-/// The pairs of keyframes to match, in time and in space, each with the smaller index first.
-pub(super) fn pairs(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
-    let mut pairs: BTreeSet<(usize, usize)> = pairs_in_time(views, options).into_iter().collect();
-    for (i, view) in views.iter().enumerate().filter(|(_, view)| view.is_keyframe()) {
-        let mut near_in_space: Vec<(f64, usize)> = (0..views.len())
-            .filter(|&j| j.abs_diff(i) > options.time_neighbours && views[j].is_keyframe())
-            .filter_map(|j| Some((spatial_distance(view, &views[j])?, j)))
+impl PosedImage {
+    /// Direction of the optical axis in G.
+    fn axis(&self) -> Vector3<f64> {
+        self.pose.rotation * Vector3::z()
+    }
+}
+
+/// All images of some views.
+fn images(rig: &Rig, views: &[KeyframeView<'_>]) -> Vec<PosedImage> {
+    let of_view = |(view, content): (usize, &KeyframeView<'_>)| -> Vec<PosedImage> {
+        let image = |(image, of): (usize, &super::keyframe_view::KeyframeImage<'_>)| PosedImage {
+            id: (view, image),
+            group: of.group,
+            pose: rig.camera_pose(of.group, &content.prior.pose),
+        };
+        content.images.iter().enumerate().map(image).collect()
+    };
+    views.iter().enumerate().flat_map(of_view).collect()
+}
+
+/// Pairs of images of the same camera that are near in time, each with the earlier one first, in order.
+pub(super) fn pairs_in_time(
+    rig: &Rig,
+    views: &[KeyframeView<'_>],
+    options: &BuildOptions,
+) -> Vec<(ImageId, ImageId)> {
+    let images = images(rig, views);
+    let of_image = |at: usize| {
+        let own = &images[at];
+        let near_in_time =
+            images[at + 1..].iter().take_while(|other| other.id.0 <= own.id.0 + options.time_neighbours);
+        let same_direction = |other: &&PosedImage| {
+            other.group == own.group && own.axis().angle(&other.axis()) <= MAX_ANGLE_IN_TIME
+        };
+        near_in_time.filter(same_direction).map(|other| (own.id, other.id)).collect::<Vec<_>>()
+    };
+    (0..images.len()).flat_map(of_image).collect()
+}
+
+/// The pairs of images to match, in time and in space, each with the earlier one first. Images of one instant are not matched.
+pub(super) fn pairs(
+    rig: &Rig,
+    views: &[KeyframeView<'_>],
+    options: &BuildOptions,
+) -> Vec<(ImageId, ImageId)> {
+    let mut pairs: BTreeSet<(ImageId, ImageId)> = pairs_in_time(rig, views, options).into_iter().collect();
+    let images = images(rig, views);
+    for own in &images {
+        let is_candidate = |other: &&PosedImage| {
+            let gap = other.id.0.abs_diff(own.id.0);
+            gap > if other.group == own.group { options.time_neighbours } else { 0 }
+        };
+        let mut near_in_space: Vec<(f64, ImageId)> = images
+            .iter()
+            .filter(is_candidate)
+            .filter_map(|other| Some((spatial_distance(own, other)?, other.id)))
             .collect();
         near_in_space.sort_by(|a, b| a.0.total_cmp(&b.0));
-        pairs.extend(near_in_space.iter().take(options.space_neighbours).map(|&(_, j)| (i.min(j), i.max(j))));
+        let nearest = near_in_space.iter().take(options.space_neighbours);
+        pairs.extend(nearest.map(|&(_, other)| (own.id.min(other), own.id.max(other))));
     }
     pairs.into_iter().collect()
 }
 
-/// Distance measure of two views from position and direction, `None` for views that hardly overlap.
-fn spatial_distance(a: &KeyframeView<'_>, b: &KeyframeView<'_>) -> Option<f64> {
-    let distance = (a.prior.pose.translation - b.prior.pose.translation).norm();
+/// Distance measure of two images from position and direction, `None` for images that hardly overlap.
+fn spatial_distance(a: &PosedImage, b: &PosedImage) -> Option<f64> {
+    let distance = (a.pose.translation - b.pose.translation).norm();
     let angle = if distance <= MAX_DISTANCE_IN_SPACE { a.axis().angle(&b.axis()) } else { f64::INFINITY };
     (angle <= MAX_ANGLE_IN_SPACE).then_some(distance / MAX_DISTANCE_IN_SPACE + angle / MAX_ANGLE_IN_SPACE)
 }
 
-/// Matches two keyframes: nearest descriptors in both directions with a ratio test, then the epipolar constraint.
+/// Matches two images: nearest descriptors in both directions with a ratio test, then the epipolar constraint.
 pub(super) fn match_pair(
-    camera: &Camera,
+    rig: &Rig,
     views: &[KeyframeView<'_>],
-    (i, j): (usize, usize),
+    (first, second): (ImageId, ImageId),
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
-    let (a, b) = (views[i].descriptors()?, views[j].descriptors()?);
-    let mut settings = MatchOptions::for_metric(a.metric());
+    let [a, b] = [first, second].map(|(view, image)| &views[view].images[image]);
+    let (of_first, of_second) = (a.descriptors()?, b.descriptors()?);
+    let mut settings = MatchOptions::for_metric(of_first.metric());
     settings.max_distance = options.max_descriptor_distance.unwrap_or(settings.max_distance);
-    let matches = vision::match_descriptors(a, b, &settings)?;
+    let matches = vision::match_descriptors(of_first, of_second, &settings)?;
+    let posed = |(view, image): ImageId, group: usize| MatchedImage {
+        camera: rig.camera(group),
+        pose: rig.uncertain_pose(group, &views[view].prior),
+        rays: &views[view].rays[views[view].first_feature(image)..],
+    };
+    let images = [posed(first, a.group), posed(second, b.group)];
     let possible = |found: &vision::Match| {
-        epipolar_error(camera, [&views[i], &views[j]], [found.query, found.train], sigma_px)
+        epipolar_error(&images, [found.query, found.train], sigma_px)
             .is_some_and(|sigmas| sigmas <= EPIPOLAR_GATE)
     };
+    let offsets = [first, second].map(|(view, image)| views[view].first_feature(image));
     Ok(matches
         .iter()
         .filter(|found| possible(found))
         .map(|found| FeatureMatch {
-            first: (i, found.query),
-            second: (j, found.train),
+            first: (first.0, offsets[0] + found.query),
+            second: (second.0, offsets[1] + found.train),
             distance: found.distance,
         })
         .collect())
+}
+
+/// One of two images that are matched.
+struct MatchedImage<'a> {
+    camera: &'a Camera,
+    /// `global_from_camera`.
+    pose: PoseWithCovariance,
+    /// Of its features.
+    rays: &'a [Option<Vector2<f64>>],
 }
 
 /// Epipolar error of two rays, in standard deviations from the noise of pixels and poses. `None` without rays.
@@ -95,26 +163,23 @@ pub(super) fn match_pair(
 /// e = c . (d1 x d2),   c = p2 - p1,   d = R [alpha, beta, 1]        (the volume that the three vectors span)
 /// de/dp2 = d1 x d2 = -de/dp1,   de/dtheta1 = d1 x (d2 x c),   de/dtheta2 = d2 x (c x d1)
 /// ```
-fn epipolar_error(
-    camera: &Camera,
-    views: [&KeyframeView<'_>; 2],
-    features: [usize; 2],
-    sigma_px: f64,
-) -> Option<f64> {
-    let rotation = views.map(|view| view.prior.pose.rotation.to_rotation_matrix().into_inner());
-    let rays = [views[0].rays[features[0]]?, views[1].rays[features[1]]?];
+fn epipolar_error(images: &[MatchedImage<'_>; 2], features: [usize; 2], sigma_px: f64) -> Option<f64> {
+    let poses = [&images[0].pose, &images[1].pose];
+    let rotation = poses.map(|pose| pose.pose.rotation.to_rotation_matrix().into_inner());
+    let rays = [images[0].rays[features[0]]?, images[1].rays[features[1]]?];
     let d = [rotation[0] * rays[0].push(1.0), rotation[1] * rays[1].push(1.0)];
-    let baseline = views[1].prior.pose.translation - views[0].prior.pose.translation;
+    let baseline = poses[1].pose.translation - poses[0].pose.translation;
     let normal = d[0].cross(&d[1]);
     let by_direction = [d[1].cross(&baseline), baseline.cross(&d[0])];
     let mut variance = 0.0;
-    for (index, view) in views.iter().enumerate() {
-        let covariance = &view.prior.covariance;
+    for (index, image) in images.iter().enumerate() {
+        let covariance = &image.pose.covariance;
         let by_rotation = d[index].cross(&by_direction[index]);
         let rotation_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let position_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
         variance += quadratic(&rotation_covariance, &by_rotation) + quadratic(&position_covariance, &normal);
-        variance += pixel_variance(camera, &rotation[index], &rays[index], &by_direction[index], sigma_px)?;
+        variance +=
+            pixel_variance(image.camera, &rotation[index], &rays[index], &by_direction[index], sigma_px)?;
     }
     Some(baseline.dot(&normal).abs() / variance.sqrt())
 }

@@ -1,22 +1,20 @@
 //! What odometry knows of a recording, and the views of a map that is built from it.
 
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use estimator::EstimatorConfig;
 use estimator::propagation::ImuState;
-use geometry::camera::Camera;
+use estimator::{EstimatorConfig, TrackObservation};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Vector2;
-use protocol::{DescriptorFormat, FeatureSet};
 use sensors::{CameraSensor, Frame, ReferencePose, Sequence};
 
+use super::camera::Rig;
 use super::error::BuildError;
 use super::feature_source::FeatureSource;
 use super::keyframe_selection::{camera_pose, no_common_stamps, select_keyframes};
-use super::keyframe_view::{FeatureId, KeyframeView};
+use super::keyframe_view::{FeatureId, KeyframeView, TrackedPoint};
 use super::options::BuildOptions;
 use super::progress::Progress;
 use super::selected_keyframes::SelectedKeyframes;
@@ -80,7 +78,6 @@ impl Odometry {
             return Err(BuildError::NoOdometry { states: self.states.len() });
         }
         let keyframes = self.keyframes(sequence, source, options, progress)?;
-        let format = keyframes[0].features.descriptors.format();
         let mut views: Vec<KeyframeView<'a>> = Vec::with_capacity(keyframes.len());
         for keyframe in keyframes {
             if let Some(last_ns) = views.last().map(|view| view.stamp_ns) {
@@ -88,7 +85,7 @@ impl Odometry {
                 for frame in spaced(frames, last_ns, keyframe.stamp_ns) {
                     let Some(state) = self.at(frame.stamp_ns) else { continue };
                     let prior = local_prior(frame.stamp_ns, state, &sequence.cameras[0], options);
-                    views.push(bridging_view(frame.stamp_ns, &prior, format));
+                    views.push(bridging_view(frame.stamp_ns, &prior));
                 }
             }
             views.push(keyframe);
@@ -142,14 +139,10 @@ pub(super) fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose 
 }
 
 /// A view without features of its own, which ties keyframes together by tracks.
-fn bridging_view<'a>(
-    stamp_ns: i64,
-    prior: &PoseWithCovariance,
-    format: DescriptorFormat,
-) -> KeyframeView<'a> {
+fn bridging_view<'a>(stamp_ns: i64, prior: &PoseWithCovariance) -> KeyframeView<'a> {
     KeyframeView {
         stamp_ns,
-        features: Cow::Owned(FeatureSet::empty(format)),
+        images: Vec::new(),
         tracked: Vec::new(),
         stereo: Vec::new(),
         rays: Vec::new(),
@@ -184,51 +177,57 @@ fn spaced(frames: &[Frame], from_ns: i64, to_ns: i64) -> impl Iterator<Item = &F
 ///
 /// # Arguments
 /// * `frames`: all of the recording.
-/// * `camera`: camera 0.
-/// * `stereo`: whether points of camera 1 are used.
 ///
 /// # Returns
 /// The tracks of at least two views.
-pub(super) fn add_tracks(
-    views: &mut [KeyframeView<'_>],
-    frames: &[Frame],
-    camera: &Camera,
-    stereo: bool,
-) -> Vec<Vec<FeatureId>> {
+pub(super) fn add_tracks(views: &mut [KeyframeView<'_>], frames: &[Frame], rig: &Rig) -> Vec<Vec<FeatureId>> {
     let view_at: HashMap<i64, usize> =
         views.iter().enumerate().map(|(index, view)| (view.stamp_ns, index)).collect();
     let mut tracks: Vec<Vec<FeatureId>> = Vec::new();
-    // The track of each point that the last frame shows.
-    let mut alive: HashMap<u64, usize> = HashMap::new();
+    // The track of each point that the last image of its camera shows, by camera and name.
+    let mut alive: HashMap<(u8, u64), usize> = HashMap::new();
     for frame in frames {
-        let seen = frame.tracks.iter().filter(|point| point.camera == 0);
-        let mut next = HashMap::with_capacity(alive.len());
-        for point in seen {
-            let track = alive.get(&point.feature_id).copied().unwrap_or_else(|| {
-                tracks.push(Vec::new());
-                tracks.len() - 1
-            });
-            next.insert(point.feature_id, track);
+        let in_view = view_at.get(&frame.stamp_ns).copied();
+        if let Some(index) = in_view {
+            let described = views[index].described();
+            views[index].stereo.resize(described, None);
         }
-        alive = next;
-        let Some(&index) = view_at.get(&frame.stamp_ns) else { continue };
-        let view = &mut views[index];
-        view.stereo.resize(view.features.len(), None);
-        let second: HashMap<u64, Vector2<f64>> = frame
-            .tracks
-            .iter()
-            .filter(|point| stereo && point.camera == 1)
-            .map(|point| (point.feature_id, point.pixel))
-            .collect();
-        for point in frame.tracks.iter().filter(|point| point.camera == 0) {
-            let ray = camera.contains(&point.pixel).then(|| camera.unproject(&point.pixel).ok()).flatten();
-            if ray.is_none() {
-                continue;
+        for (group, cameras) in rig.groups.iter().enumerate() {
+            let of_camera =
+                |camera: usize| frame.tracks.iter().filter(move |point| usize::from(point.camera) == camera);
+            let name = |point: &TrackObservation| (point.camera, point.feature_id);
+            let is_alone = rig.groups.len() == 1 || frame.tracks.is_empty();
+            let has_image = frame.images.contains_key(&cameras.first)
+                || (frame.images.is_empty() && (is_alone || of_camera(cameras.first).next().is_some()));
+            let mut seen = HashMap::new();
+            for point in of_camera(cameras.first) {
+                let track = alive.get(&name(point)).copied().unwrap_or_else(|| {
+                    tracks.push(Vec::new());
+                    tracks.len() - 1
+                });
+                seen.insert(name(point), track);
             }
-            tracks[alive[&point.feature_id]].push((index, view.rays.len()));
-            view.tracked.push(point.pixel);
-            view.rays.push(ray);
-            view.stereo.push(second.get(&point.feature_id).copied());
+            if has_image {
+                alive.retain(|(camera, _), _| usize::from(*camera) != cameras.first);
+            }
+            alive.extend(&seen);
+            let Some(index) = in_view else { continue };
+            let (view, camera) = (&mut views[index], rig.camera(group));
+            let second: HashMap<u64, Vector2<f64>> = cameras
+                .second
+                .map(|second| of_camera(second).map(|point| (point.feature_id, point.pixel)).collect())
+                .unwrap_or_default();
+            for point in of_camera(cameras.first) {
+                let ray =
+                    camera.contains(&point.pixel).then(|| camera.unproject(&point.pixel).ok()).flatten();
+                if ray.is_none() {
+                    continue;
+                }
+                tracks[seen[&name(point)]].push((index, view.rays.len()));
+                view.tracked.push(TrackedPoint { group, pixel: point.pixel });
+                view.rays.push(ray);
+                view.stereo.push(second.get(&point.feature_id).copied());
+            }
         }
     }
     tracks.retain(|track| track.len() >= 2);

@@ -3,19 +3,19 @@
 use std::collections::HashSet;
 use std::time::Instant;
 
-use adjustment::{Bundle, InverseDepthLandmark, MountedCamera, ViewPose, parallel};
+use adjustment::{Bundle, InverseDepthLandmark, ViewPose, parallel};
 use map::contents::MapContents;
 use sensors::{ReferencePose, Sequence};
 
 use super::aliasing::find_aliases;
 use super::assemble;
-use super::camera::mounted_cameras;
+use super::camera::Rig;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::gyroscope_check::check_turns;
 use super::keyframe_selection::select_keyframes;
-use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
-use super::matching::{self, FeatureMatch};
+use super::keyframe_view::{FeatureId, KeyframeView, image_count, keyframes};
+use super::matching::{self, FeatureMatch, ImageId};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
 use super::progress::{Progress, Stage};
 use super::readings::buffered;
@@ -32,7 +32,7 @@ const TRIANGULATION_RUN: usize = 256;
 /// Builds a map.
 ///
 /// # Arguments
-/// * `sequence`: its camera 0, with stereo also camera 1, and the features or images of its frames are used.
+/// * `sequence`: its cameras, and the features or images of its frames are used.
 /// * `references`: poses of the IMU in G with sigmas; those of images between two of them are interpolated.
 /// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
 /// * `progress`: called with the stage and its steps.
@@ -56,36 +56,33 @@ pub fn build_map(
         options.gravity_in_global.or_else(|| gravity_of(&sequence.imu_samples, references));
     let options = &options;
     let start = Instant::now();
-    let cameras = mounted_cameras(&sequence.cameras);
-    let mut source = FeatureSource::new(extraction, &cameras);
+    let used = extraction.as_ref().map_or(sequence.cameras.len(), |extraction| extraction.cameras);
+    let rig = Rig::new(&sequence.cameras, used);
+    let cameras = &rig.cameras;
+    let mut source = FeatureSource::new(extraction, &rig);
     let mut views = select_keyframes(sequence, references, &mut source, options, progress)?;
-    make_still(&mut views, &sequence.cameras, &buffered(&sequence.imu_samples), |_| None);
+    make_still(&mut views, &sequence.cameras, &rig, &buffered(&sequence.imu_samples), |_| None);
     let mut report = BuildReport::of_views(&views, source.unreadable);
-    let pairs = matching::pairs(&views, options);
-    let matches = match_all(&cameras, &views, &pairs, options, &mut report, progress)?;
-    let landmarks = triangulate_all(&cameras, &views, matches, Vec::new(), options, &mut report, progress);
+    let pairs = matching::pairs(&rig, &views, options);
+    let matches = match_all(&rig, &views, &pairs, options, &mut report, progress)?;
+    let landmarks = triangulate_all(&rig, &views, matches, Vec::new(), options, &mut report, progress);
     let constraints = Constraints::of_references(&views);
     let poses = views.iter().map(|view| view.prior.pose).collect();
     let mut bundle = Bundle { poses, motions: Vec::new(), landmarks };
     report.sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
     if options.refine_poses {
-        bundle = refine_all(&cameras, &constraints, bundle, ROUNDS, options, &mut report, progress);
+        bundle = refine_all(cameras, &constraints, bundle, ROUNDS, options, &mut report, progress);
     }
     let joint = (options.refine_poses && options.stored_poses == StoredPoses::Refined)
         .then(|| {
-            covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)
+            let stated = (&keyframes(&views)[..], image_count(&views));
+            covariance_of(cameras, &constraints, &bundle, stated, &[], report.sigma_px, progress)
         })
         .transpose()?;
-    let mut contents = assemble::map_contents(
-        &cameras[0].camera,
-        &views,
-        &bundle,
-        joint.as_ref(),
-        report.sigma_px,
-        options,
-    )?;
+    let mut contents =
+        assemble::map_contents(&rig, &views, &bundle, joint.as_ref(), report.sigma_px, options)?;
     find_aliases(&mut contents, progress)?;
-    assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
+    assemble::fill_report(&mut report, cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
 }
@@ -105,11 +102,11 @@ pub(super) fn check(options: &BuildOptions) -> Result<(), BuildError> {
     Ok(())
 }
 
-/// Matches pairs of views.
+/// Matches pairs of images.
 pub(super) fn match_all(
-    cameras: &[MountedCamera],
+    rig: &Rig,
     views: &[KeyframeView<'_>],
-    pairs: &[(usize, usize)],
+    pairs: &[(ImageId, ImageId)],
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
@@ -117,8 +114,7 @@ pub(super) fn match_all(
     let sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
     report.pairs += pairs.len();
     let mut matches = Vec::new();
-    let of_pair =
-        |pair: usize| matching::match_pair(&cameras[0].camera, views, pairs[pair], sigma_px, options);
+    let of_pair = |pair: usize| matching::match_pair(rig, views, pairs[pair], sigma_px, options);
     let show = |done| progress(Stage::Matching, done, pairs.len());
     for of_pair in parallel::map(pairs.len(), of_pair, show) {
         matches.extend(of_pair?);
@@ -133,7 +129,7 @@ pub(super) fn match_all(
 /// # Arguments
 /// * `tracked`: further tracks, of points without descriptors.
 pub(super) fn triangulate_all(
-    cameras: &[MountedCamera],
+    rig: &Rig,
     views: &[KeyframeView<'_>],
     matches: Vec<FeatureMatch>,
     tracked: Vec<Vec<FeatureId>>,
@@ -141,9 +137,10 @@ pub(super) fn triangulate_all(
     report: &mut BuildReport,
     progress: Progress<'_>,
 ) -> Vec<InverseDepthLandmark> {
-    let counts: Vec<usize> = views.iter().map(|view| view.rays.len()).collect();
+    let of_view = |view: &KeyframeView<'_>| view.images.iter().map(|image| image.features.len()).collect();
+    let counts: Vec<Vec<usize>> = views.iter().map(of_view).collect();
     let poses: Vec<ViewPose> = views.iter().map(|view| ViewPose::from(&view.prior.pose)).collect();
-    let scene = Scene { cameras, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_SIGMA_PX) };
+    let scene = Scene { rig, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_SIGMA_PX) };
     let mut tracks = tracks::chain(&counts, matches.clone());
     tracks.extend(tracks::stereo_singles(views, &tracks));
     tracks.extend(tracked);
@@ -168,7 +165,7 @@ pub(super) fn triangulate_all(
         landmarks.extend(landmark);
     }
     progress(Stage::Triangulation, tracks.len(), tracks.len());
-    let kept: usize = landmarks.iter().map(InverseDepthLandmark::view_count).sum();
+    let kept: usize = landmarks.iter().map(InverseDepthLandmark::image_count).sum();
     report.dropped_observations = tracks.iter().map(Vec::len).sum::<usize>().saturating_sub(kept);
     landmarks
 }

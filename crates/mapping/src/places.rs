@@ -18,8 +18,8 @@ use super::progress::{Progress, Stage};
 
 /// Standard deviations of the map's keyframes while places are searched (rad, m): only relative poses are wanted.
 const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
-/// Places of one keyframe that are kept: those with the most matches.
-const PLACES_A_VIEW: usize = 4;
+/// Places of one image that are kept: those with the most matches.
+const PLACES_AN_IMAGE: usize = 4;
 /// Keyframes that must agree on where the recording is.
 pub(super) const MIN_AGREEING: usize = 3;
 /// Two places agree on where the recording is up to this rotation (rad) and distance (m), and ...
@@ -42,6 +42,10 @@ pub(super) struct PlaceQuery<'a> {
     pub(super) view: usize,
     /// The camera that saw the features.
     pub(super) camera: &'a Camera,
+    /// Its pose in the frame of the view; `None` where the view is the camera.
+    pub(super) view_from_camera: Option<Pose>,
+    /// The number of its first feature in the view.
+    pub(super) first_feature: usize,
     /// Its features.
     pub(super) features: &'a FeatureSet,
 }
@@ -74,18 +78,27 @@ pub(super) fn find_places(
     for (done, query) in queries.iter().enumerate() {
         progress(Stage::PlaceRecognition, done, queries.len());
         let view = query.view;
-        let gravity_in_camera = Some(poses[view].rotation.inverse() * down);
+        let global_from_camera =
+            query.view_from_camera.map_or(poses[view], |camera| poses[view].compose(&camera));
+        let gravity_in_camera = Some(global_from_camera.rotation.inverse() * down);
         let places =
             map.verified_places(query.camera, query.features, gravity_in_camera, &|_| true, &options)?;
-        for place in places.into_iter().take(PLACES_A_VIEW) {
+        for place in places.into_iter().take(PLACES_AN_IMAGE) {
             let stored_view = view_of[&place.keyframe];
             let keyframe = &stored.keyframes[stored_view - poses.len()].global_from_keyframe.pose;
+            let found_pose = place.global_from_camera;
+            let global_from_view = query
+                .view_from_camera
+                .map_or(found_pose, |camera| found_pose.change_of_child(&camera.inverse()));
             let relative = RelativePose {
                 views: [stored_view, view],
-                first_from_second: keyframe.inverse().compose(&place.global_from_camera.pose),
-                information: information(keyframe, &place.global_from_camera.covariance),
+                first_from_second: keyframe.inverse().compose(&global_from_view.pose),
+                information: information(keyframe, &global_from_view.covariance),
             };
-            found.push(StoredPlace { relative, matches: place.inliers });
+            let in_view =
+                |(feature, landmark): (usize, LandmarkId)| (query.first_feature + feature, landmark);
+            let matches = place.inliers.into_iter().map(in_view).collect();
+            found.push(StoredPlace { relative, matches });
         }
     }
     progress(Stage::PlaceRecognition, queries.len(), queries.len());

@@ -124,14 +124,14 @@ pub(super) fn refine_all(
         if options.sigma_px.is_none() {
             sigma_px = estimated_sigma_px(&bundle, cameras).unwrap_or(sigma_px);
         }
-        let before: usize = bundle.landmarks.iter().map(InverseDepthLandmark::view_count).sum();
+        let before: usize = bundle.landmarks.iter().map(InverseDepthLandmark::image_count).sum();
         let poses = bundle.view_poses();
         let gate = REPROJECTION_GATE * sigma_px;
         let pruned = |landmark: &InverseDepthLandmark| {
             prune(landmark, cameras, &poses, gate, options.min_observations)
         };
         bundle.landmarks = bundle.landmarks.iter().filter_map(pruned).collect();
-        let after: usize = bundle.landmarks.iter().map(InverseDepthLandmark::view_count).sum();
+        let after: usize = bundle.landmarks.iter().map(InverseDepthLandmark::image_count).sum();
         report.dropped_observations += before - after;
     }
     report.sigma_px = sigma_px;
@@ -142,6 +142,7 @@ pub(super) fn refine_all(
 ///
 /// # Arguments
 /// * `views`: with all tied keyframes of stored maps, in order.
+/// * `keyframes`: how many keyframes the views are.
 /// * `stored`: the maps whose keyframes took part in the adjustment.
 ///
 /// # Errors
@@ -150,7 +151,7 @@ pub(super) fn covariance_of(
     cameras: &[MountedCamera],
     constraints: &Constraints,
     bundle: &Bundle,
-    views: &[usize],
+    (views, keyframes): (&[usize], usize),
     stored: &[StoredPoses],
     sigma_px: f64,
     progress: Progress<'_>,
@@ -160,14 +161,14 @@ pub(super) fn covariance_of(
     let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
     let posterior = Posterior::new(&covariance, &bundle.poses, views, stored);
     let show = |done, all| progress(Stage::Covariance, done, all);
-    Ok(joint_covariance(&posterior, views, &positions, constraints.own_frame.as_ref(), show))
+    Ok(joint_covariance(&posterior, (views, keyframes), &positions, constraints.own_frame.as_ref(), show))
 }
 
 /// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.
 fn estimated_sigma_px(bundle: &Bundle, cameras: &[MountedCamera]) -> Option<f64> {
     let poses = bundle.view_poses();
-    let of = |least_views: usize| {
-        let observed = bundle.landmarks.iter().filter(move |landmark| landmark.view_count() >= least_views);
+    let of = |least_images: usize| {
+        let observed = bundle.landmarks.iter().filter(move |landmark| landmark.image_count() >= least_images);
         observed.map(|landmark| landmark.errors(cameras, &poses))
     };
     // A stereo pair at one instant agrees better than views from different places, as a robot's will be.
@@ -212,7 +213,7 @@ fn prune(
         return landmark.retained(&keep, least);
     }
     let middle = keep.len() / 2;
-    let can_anchor = |&index: &usize| keep[index] && landmark.observations[index].camera == 0;
+    let can_anchor = |&index: &usize| keep[index] && !landmark.observations[index].is_second;
     let anchor = (0..keep.len()).filter(can_anchor).min_by_key(|index| index.abs_diff(middle))?;
     landmark.anchored_at(anchor, cameras, poses)?.retained(&keep, least)
 }

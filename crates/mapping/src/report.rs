@@ -1,10 +1,12 @@
 //! Statistics of a built map.
 
+use std::collections::BTreeMap;
+
 use protocol::KeyframeId;
 use sensors::Frame;
 use serde::Serialize;
 
-use super::keyframe_view::KeyframeView;
+use super::keyframe_view::{KeyframeView, image_count};
 
 /// Mean, median and 95th percentile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -30,7 +32,7 @@ impl Spread {
     }
 }
 
-/// Images in which next to nothing was tracked: dark or covered ones.
+/// Images in which next to nothing was tracked: dark or covered ones; of a rig, instants at which no camera tracked anything.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UntrackedImages {
     /// Their number.
@@ -48,7 +50,9 @@ impl UntrackedImages {
     /// Those of a recording; `None` where there are none, or no image has tracks.
     pub(super) fn of(frames: &[Frame]) -> Option<UntrackedImages> {
         let is_tracked = |frame: &Frame| {
-            frame.tracks.iter().filter(|track| track.camera == 0).nth(Self::FEWEST_TRACKS - 1).is_some()
+            let mut counts: BTreeMap<u8, usize> = BTreeMap::new();
+            frame.tracks.iter().for_each(|track| *counts.entry(track.camera).or_default() += 1);
+            counts.values().any(|&count| count >= Self::FEWEST_TRACKS)
         };
         let mut last_tracked = frames.iter().find(|frame| is_tracked(frame))?.stamp_ns;
         let (mut images, mut longest_ns) = (0, 0);
@@ -133,7 +137,7 @@ impl BuildReport {
     /// The statistics of the selected views.
     pub(super) fn of_views(views: &[KeyframeView<'_>], unreadable_images: Vec<String>) -> BuildReport {
         BuildReport {
-            keyframes: views.iter().filter(|view| view.is_keyframe()).count(),
+            keyframes: image_count(views),
             stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
             unreadable_images,
             ..BuildReport::default()

@@ -3,12 +3,11 @@
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, channel};
 
-use adjustment::MountedCamera;
 use estimator::propagation::ImuState;
 use geometry::uncertain_pose::PoseWithCovariance;
 use sensors::{CameraSensor, Frame};
 
-use super::camera::mounted_cameras;
+use super::camera::Rig;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::keyframe_selection::{KeyframeSelector, is_in_time};
@@ -17,7 +16,7 @@ use super::odometry::local_prior;
 use super::options::BuildOptions;
 use super::progress::{Progress, Stage};
 
-/// An image and the pose of its camera.
+/// A frame and the pose of camera 0.
 type Located = (Frame, PoseWithCovariance);
 
 /// Keyframes that were selected while odometry ran, with their features.
@@ -49,7 +48,7 @@ pub fn select_during<T>(
     progress: Progress<'_>,
     odometry: impl FnOnce(&mut dyn FnMut(&Frame, &ImuState), Progress<'_>) -> T,
 ) -> (T, Result<SelectedKeyframes, BuildError>) {
-    let cameras = &mounted_cameras(sensors);
+    let rig = &Rig::new(sensors, extraction.cameras);
     let (outbox, inbox) = channel::<Located>();
     let (counted, counts) = channel();
     std::thread::scope(|scope| {
@@ -58,10 +57,11 @@ pub fn select_during<T>(
             let count = |done, all| {
                 let _ = counted.send((done, all));
             };
-            select(cameras, extraction, options, &inbox, count)
+            select(rig, extraction, options, &inbox, count)
         });
         let mut located = |frame: &Frame, state: &ImuState| {
-            if !frame.images.contains_key(&0) || !is_in_time(frame.stamp_ns, first_ns, options) {
+            let has_image = rig.groups.iter().any(|group| frame.images.contains_key(&group.first));
+            if !has_image || !is_in_time(frame.stamp_ns, first_ns, options) {
                 return;
             }
             let prior = local_prior(frame.stamp_ns, state, &sensors[0], options);
@@ -83,14 +83,14 @@ pub fn select_during<T>(
 /// # Arguments
 /// * `progress`: called with the number of images done and that of those that are known.
 fn select(
-    cameras: &[MountedCamera],
+    rig: &Rig,
     extraction: Extraction<'_>,
     options: &BuildOptions,
     inbox: &Receiver<Located>,
     progress: impl Fn(usize, usize),
 ) -> Result<SelectedKeyframes, BuildError> {
-    let mut source = FeatureSource::new(Some(extraction), cameras);
-    let mut selector = KeyframeSelector::new(&cameras[0].camera, options);
+    let mut source = FeatureSource::new(Some(extraction), rig);
+    let mut selector = KeyframeSelector::new(options);
     let mut views: Vec<KeyframeView<'static>> = Vec::new();
     let mut waiting: VecDeque<Located> = VecDeque::new();
     let mut done = 0;
@@ -99,7 +99,7 @@ fn select(
         progress(done, done + 1 + waiting.len());
         done += 1;
         let later = waiting.iter().map(|(frame, prior)| (frame, prior));
-        let view = selector.consider(views.last(), (&frame, &prior), later, &mut source)?;
+        let view = selector.consider(&views, (&frame, &prior), later, &mut source)?;
         views.extend(view.map(KeyframeView::into_owned));
     }
     Ok(SelectedKeyframes { views, unreadable: source.unreadable })

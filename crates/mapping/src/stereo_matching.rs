@@ -1,6 +1,7 @@
 //! Stereo matching: which feature of the first camera's image is which of the second's, at the same instant.
 
 use adjustment::{MIN_DEPTH, MountedCamera};
+use geometry::camera::Camera;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use vision::{DescriptorView, ImageFeatures, MatchOptions, distance};
 
@@ -13,18 +14,22 @@ const EPIPOLAR_GATE: f64 = 2.0;
 /// and satisfies the epipolar constraint.
 ///
 /// The ratio test compares features near the epipolar line only, so it is not affected by textures that repeat elsewhere.
+///
+/// # Arguments
+/// * `second_camera`: mounted on the first.
 pub(super) fn match_stereo(
-    cameras: &[MountedCamera],
+    camera: &Camera,
+    second_camera: &MountedCamera,
     first: &ImageFeatures,
     second: &ImageFeatures,
 ) -> Vec<Option<Vector2<f64>>> {
     let [Some(left), Some(right)] =
-        [StereoImage::new(&cameras[0], first), StereoImage::new(&cameras[1], second)]
+        [StereoImage::new(camera, first), StereoImage::new(&second_camera.camera, second)]
     else {
         return vec![None; first.keypoints.len()];
     };
     let options = MatchOptions::for_metric(first.metric);
-    let geometry = StereoGeometry::new(&cameras[1]);
+    let geometry = StereoGeometry::new(second_camera);
     let distances = |i: usize| -> Vec<(usize, f32)> {
         let Some(line) = left.rays[i].map(|ray| geometry.line(&ray)) else { return Vec::new() };
         let near = (0..right.rays.len())
@@ -66,15 +71,15 @@ struct StereoImage<'a> {
 }
 
 impl<'a> StereoImage<'a> {
-    fn new(camera: &MountedCamera, features: &'a ImageFeatures) -> Option<StereoImage<'a>> {
+    fn new(camera: &Camera, features: &'a ImageFeatures) -> Option<StereoImage<'a>> {
         let ray = |keypoint: &vision::Keypoint| {
             let pixel = Vector2::from(keypoint.pixel.map(f64::from));
-            camera.camera.unproject(&pixel).ok().map(|ray| ray.push(1.0))
+            camera.unproject(&pixel).ok().map(|ray| ray.push(1.0))
         };
         Some(StereoImage {
             rays: features.keypoints.iter().map(ray).collect(),
             descriptors: DescriptorView::new(features.metric, features.width, &features.descriptors).ok()?,
-            focal: f64::midpoint(camera.camera.focal[0], camera.camera.focal[1]),
+            focal: f64::midpoint(camera.focal[0], camera.focal[1]),
         })
     }
 

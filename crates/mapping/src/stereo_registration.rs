@@ -1,21 +1,21 @@
 //! Odometry of stereo images that are too far apart to track points: each pair of images is located by the landmarks of
 //! earlier ones, and the IMU gives gravity, velocities and biases to the trajectory.
 
-use adjustment::{MountedCamera, ViewPose};
+use adjustment::ViewPose;
 use estimator::EstimatorConfig;
 use geometry::pnp::{Correspondence, PnpSolution, RansacOptions, solve_ransac};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 use sensors::Sequence;
 use vision::{MatchOptions, match_descriptors};
 
-use super::camera::mounted_cameras;
+use super::camera::Rig;
 use super::error::BuildError;
-use super::feature_source::{Extraction, FeatureSource, FrameFeatures};
+use super::feature_source::{Extraction, FeatureSource, ImageWithFeatures};
 use super::imu_alignment::ImuAlignment;
 use super::keyframe_selection::rays;
-use super::keyframe_view::KeyframeView;
+use super::keyframe_view::{KeyframeImage, KeyframeView};
 use super::odometry::Odometry;
 use super::options::FIRST_SIGMA_PX;
 use super::progress::{Progress, Stage};
@@ -52,16 +52,15 @@ pub fn register_stereo_images(
     config: &EstimatorConfig,
     progress: Progress<'_>,
 ) -> Result<Odometry, BuildError> {
-    let cameras = mounted_cameras(&sequence.cameras);
-    let mut source = FeatureSource::new(Some(extraction), &cameras);
+    let rig = Rig::new(&sequence.cameras, extraction.cameras);
+    let mut source = FeatureSource::new(Some(extraction), &rig);
     let mut located: Vec<Located<'_>> = Vec::new();
     for (done, frame) in sequence.frames.iter().enumerate() {
         progress(Stage::Odometry, done, sequence.frames.len());
         source.forget_before(frame.stamp_ns);
-        let Some(features) = source.stereo_features_of(frame)? else { continue };
-        let (view, points) = landmarks(&cameras, frame.stamp_ns, features);
-        let pose =
-            if located.is_empty() { Some(Pose::identity()) } else { locate(&cameras, &located, &view)? };
+        let Some(features) = source.stereo_features_of(frame, 0)? else { continue };
+        let (view, points) = landmarks(&rig, frame.stamp_ns, features);
+        let pose = if located.is_empty() { Some(Pose::identity()) } else { locate(&rig, &located, &view)? };
         if let Some(first_from_camera) = pose {
             located.push(Located { view, points, first_from_camera });
         }
@@ -69,43 +68,46 @@ pub fn register_stereo_images(
     let poses: Vec<(i64, Pose)> =
         located.iter().map(|pair| (pair.view.stamp_ns, pair.first_from_camera)).collect();
     let states = ImuAlignment::new(sequence, &poses, Some(1.0), config)?.upright_states();
-    Ok(Odometry { states, cameras: 2, imu_noise_scale: 1.0, config: config.clone(), keyframes: None })
+    Ok(Odometry {
+        states,
+        cameras: rig.cameras.len(),
+        imu_noise_scale: 1.0,
+        config: config.clone(),
+        keyframes: None,
+    })
 }
 
 /// The landmarks that one pair of images shows.
 fn landmarks<'a>(
-    cameras: &[MountedCamera],
+    rig: &Rig,
     stamp_ns: i64,
-    FrameFeatures { features, stereo }: FrameFeatures<'a>,
+    ImageWithFeatures { features, stereo }: ImageWithFeatures<'a>,
 ) -> (KeyframeView<'a>, Vec<Option<Vector3<f64>>>) {
-    let rays = rays(&cameras[0].camera, &features);
+    let rays = rays(rig.camera(0), &features);
     let prior = PoseWithCovariance::exact(Pose::identity());
-    let view = [KeyframeView { stamp_ns, features, tracked: Vec::new(), stereo, rays, prior }];
+    let images = vec![KeyframeImage { group: 0, features }];
+    let view = [KeyframeView { stamp_ns, images, tracked: Vec::new(), stereo, rays, prior }];
     let poses = [ViewPose::from(&Pose::identity())];
-    let scene = Scene { cameras, views: &view, poses: &poses, sigma_px: FIRST_SIGMA_PX };
+    let scene = Scene { rig, views: &view, poses: &poses, sigma_px: FIRST_SIGMA_PX };
     let point = |feature: usize| {
         view[0].stereo_pixel(feature)?;
         let (landmark, _) = triangulate(&scene, &[(0, feature)], 2);
         landmark.map(|landmark| landmark.ray.push(1.0) / landmark.inverse_depth)
     };
-    let points = (0..view[0].features.len()).map(point).collect();
+    let points = (0..view[0].described()).map(point).collect();
     let [view] = view;
     (view, points)
 }
 
 /// The pose of a pair of images by the landmarks of another one; `None` where no other shows the same place.
-fn locate(
-    cameras: &[MountedCamera],
-    located: &[Located<'_>],
-    view: &KeyframeView<'_>,
-) -> Result<Option<Pose>, BuildError> {
+fn locate(rig: &Rig, located: &[Located<'_>], view: &KeyframeView<'_>) -> Result<Option<Pose>, BuildError> {
     let mut best: Option<(usize, Pose)> = None;
     for (rank, other) in located.iter().rev().enumerate() {
         let inliers = best.as_ref().map_or(0, |(inliers, _)| *inliers);
         if inliers >= ENOUGH_INLIERS || (rank >= RECENT && inliers >= MIN_INLIERS) {
             break;
         }
-        let Some(solution) = solve(cameras, other, view)? else { continue };
+        let Some(solution) = solve(rig, other, view)? else { continue };
         if solution.inliers.len() > inliers {
             let pose = other.first_from_camera.compose(&solution.world_from_camera.pose);
             best = Some((solution.inliers.len(), pose));
@@ -114,19 +116,14 @@ fn locate(
     Ok(best.map(|(_, pose)| pose))
 }
 
-fn solve(
-    cameras: &[MountedCamera],
-    other: &Located<'_>,
-    view: &KeyframeView<'_>,
-) -> Result<Option<PnpSolution>, BuildError> {
-    let (known, seen) = (other.view.descriptors()?, view.descriptors()?);
+fn solve(rig: &Rig, other: &Located<'_>, view: &KeyframeView<'_>) -> Result<Option<PnpSolution>, BuildError> {
+    let (known, seen) = (other.view.images[0].descriptors()?, view.images[0].descriptors()?);
     let matches = match_descriptors(seen, known, &MatchOptions::for_metric(known.metric()))?;
     let correspondence = |found: &vision::Match| {
         let point = other.points[found.train]?;
-        let [u, v] = view.features.pixels[found.query];
-        Some(Correspondence { point, pixel: Vector2::new(f64::from(u), f64::from(v)) })
+        Some(Correspondence { point, pixel: view.pixel(found.query) })
     };
     let correspondences: Vec<Correspondence> = matches.iter().filter_map(correspondence).collect();
     let options = RansacOptions { min_inliers: MIN_INLIERS, ..RansacOptions::default() };
-    Ok(solve_ransac(&cameras[0].camera, &correspondences, &options, FIRST_SIGMA_PX).ok())
+    Ok(solve_ransac(rig.camera(0), &correspondences, &options, FIRST_SIGMA_PX).ok())
 }

@@ -10,43 +10,51 @@ use estimator::rolling_shutter::still_pixel::{still_pixel, turn_around};
 use nalgebra::{Vector2, Vector3};
 use sensors::CameraSensor;
 
+use super::camera::Rig;
 use super::keyframe_view::KeyframeView;
 
 /// Moves the pixels of the views. Without rolling shutters it does nothing.
 ///
 /// # Arguments
-/// * `sensors`: the cameras of the views.
+/// * `sensors`: the cameras of the recording.
+/// * `mounted`: those of the views.
 /// * `readings`: of the IMU, on whose clock the views' stamps are.
 /// * `gyroscope_bias`: at a time (ns), rad/s, as far as it is known.
 pub(super) fn make_still(
     views: &mut [KeyframeView<'_>],
     sensors: &[CameraSensor],
+    mounted: &Rig,
     readings: &ImuBuffer,
     gyroscope_bias: impl Fn(i64) -> Option<Vector3<f64>>,
 ) {
-    let rig = calibrated_cameras(sensors);
+    let rig = calibrated_cameras(&sensors[..mounted.cameras.len()]);
     let reach_ns = row_reach_ns(&rig);
     if reach_ns == 0 {
         return;
     }
-    let (camera, second) = (&rig[0].camera, rig.get(1));
+    let first = |group: usize| &rig[mounted.groups[group].first];
+    let second = |group: usize| mounted.groups[group].second.map(|camera| &rig[camera]);
     for view in views {
         let bias = gyroscope_bias(view.stamp_ns).unwrap_or_default();
         let motion = turn_around(readings, view.stamp_ns, reach_ns, &bias);
-        if view.is_keyframe() {
-            for pixel in &mut view.features.to_mut().pixels {
-                let still = still_pixel(&rig[0], &motion, &Vector2::from(pixel.map(f64::from)));
+        for image in &mut view.images {
+            let camera = first(image.group);
+            for pixel in &mut image.features.to_mut().pixels {
+                let still = still_pixel(camera, &motion, &Vector2::from(pixel.map(f64::from)));
                 *pixel = [still.x as f32, still.y as f32];
             }
         }
-        for pixel in &mut view.tracked {
-            *pixel = still_pixel(&rig[0], &motion, pixel);
+        for point in &mut view.tracked {
+            point.pixel = still_pixel(first(point.group), &motion, &point.pixel);
         }
-        for pixel in view.stereo.iter_mut().flatten() {
-            *pixel = second.map_or(*pixel, |second| still_pixel(second, &motion, pixel));
+        for index in 0..view.stereo.len() {
+            let group = view.group(index);
+            if let Some((pixel, second)) = view.stereo[index].as_mut().zip(second(group)) {
+                *pixel = still_pixel(second, &motion, pixel);
+            }
         }
         for index in 0..view.rays.len() {
-            let pixel = view.pixel(index);
+            let (camera, pixel) = (&first(view.group(index)).camera, view.pixel(index));
             view.rays[index] = camera.contains(&pixel).then(|| camera.unproject(&pixel).ok()).flatten();
         }
     }
@@ -56,6 +64,7 @@ pub(super) fn make_still(
 mod tests {
     use super::*;
     use crate::keyframe_selection::rays;
+    use crate::keyframe_view::{KeyframeImage, TrackedPoint};
     use geometry::camera::{Camera, Distortion};
     use geometry::pose::Pose;
     use geometry::rotation;
@@ -116,13 +125,14 @@ mod tests {
         rays.push(None);
         let mut views = [KeyframeView {
             stamp_ns: 100_000_000,
-            features: Cow::Owned(features),
-            tracked: vec![rolling[2]],
+            images: vec![KeyframeImage { group: 0, features: Cow::Owned(features) }],
+            tracked: vec![TrackedPoint { group: 0, pixel: rolling[2] }],
             stereo: vec![Some(rolling[0]), None, None, None, Some(rolling[2])],
             rays,
             prior: PoseWithCovariance::exact(Pose::identity()),
         }];
-        make_still(&mut views, &sensors, &readings, |_| Some(bias));
+        let rig = Rig::new(&sensors, 2);
+        make_still(&mut views, &sensors, &rig, &readings, |_| Some(bias));
         let [view] = &views;
         for (index, expected) in global.iter().enumerate() {
             assert!((rolling[index] - expected).norm() > 1.0);
@@ -130,7 +140,7 @@ mod tests {
             let ray = sensors[0].camera.unproject(expected).unwrap();
             assert!((view.rays[index].unwrap() - ray).norm() < 1e-5);
         }
-        assert!((view.tracked[0] - global[2]).norm() < 1e-3);
+        assert!((view.tracked[0].pixel - global[2]).norm() < 1e-3);
         assert!((view.stereo[0].unwrap() - global[0]).norm() < 1e-3);
     }
 }

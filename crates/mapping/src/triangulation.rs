@@ -1,11 +1,11 @@
 //! Triangulation of one landmark from uncertain poses: the initial value for bundle adjustment.
 
 use adjustment::{
-    InverseDepthLandmark, LandmarkObservation, MAPPED_INVERSE_DEPTHS, MAX_DEPTH, MountedCamera, Prediction,
-    ViewPose,
+    InverseDepthLandmark, LandmarkObservation, MAPPED_INVERSE_DEPTHS, MAX_DEPTH, Prediction, ViewPose,
 };
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector3};
 
+use super::camera::Rig;
 use super::keyframe_view::{FeatureId, KeyframeView};
 
 /// Smallest depth of the grid (m): indoor cameras see surfaces this near.
@@ -21,7 +21,7 @@ const STEPS: usize = 6;
 /// Input of triangulation besides the track.
 pub(super) struct Scene<'a> {
     /// The cameras.
-    pub(super) cameras: &'a [MountedCamera],
+    pub(super) rig: &'a Rig,
     /// The keyframes.
     pub(super) views: &'a [KeyframeView<'a>],
     /// Their reference poses.
@@ -66,7 +66,7 @@ pub(super) fn triangulate(
         .unwrap_or((start, 0.0));
     let landmark = refine(scene, landmark);
     let keep: Vec<bool> = distances(scene, &landmark).iter().map(|&distance| distance <= GATE).collect();
-    let is_dropped = |(observation, keep): &(&LandmarkObservation, &bool)| !**keep && observation.camera == 0;
+    let is_dropped = |(observation, keep): &(&LandmarkObservation, &bool)| !**keep && !observation.is_second;
     let dropped =
         landmark.observations.iter().zip(&keep).filter(is_dropped).map(|(s, _)| s.feature).collect();
     match landmark.retained(&keep, least) {
@@ -87,21 +87,10 @@ fn distances(scene: &Scene<'_>, landmark: &InverseDepthLandmark) -> Vec<f64> {
 }
 
 impl Scene<'_> {
-    /// The observations of a track, by one camera or both.
+    /// The observations of a track, each by one camera or both of a stereo pair.
     fn observations(&self, track: &[FeatureId]) -> Vec<LandmarkObservation> {
-        let of_feature = |&(view, feature): &FeatureId| {
-            let first = LandmarkObservation {
-                feature: (view, feature),
-                camera: 0,
-                pixel: self.views[view].pixel(feature),
-            };
-            let second = self.views[view].stereo_pixel(feature).map(|pixel| LandmarkObservation {
-                camera: 1,
-                pixel,
-                ..first
-            });
-            std::iter::once(first).chain(second)
-        };
+        let of_feature =
+            |&(view, feature): &FeatureId| self.rig.observations((view, feature), &self.views[view]);
         track.iter().flat_map(of_feature).collect()
     }
 
@@ -109,7 +98,7 @@ impl Scene<'_> {
     /// `sigma^2 I + J_a P_a J_a^T + J_v P_v J_v^T`.
     fn weight(&self, landmark: &InverseDepthLandmark, index: usize) -> Option<(Prediction, Matrix2<f64>)> {
         let (anchor, view) = (landmark.anchor_view(), landmark.observations[index].view());
-        let prediction = landmark.predict(self.cameras, self.poses, index)?;
+        let prediction = landmark.predict(&self.rig.cameras, self.poses, index)?;
         let covariance = |view: usize| -> &Matrix6<f64> { &self.views[view].prior.covariance };
         let total = Matrix2::identity() * (self.sigma_px * self.sigma_px)
             + prediction.by_anchor * covariance(anchor) * prediction.by_anchor.transpose()

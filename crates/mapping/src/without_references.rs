@@ -6,8 +6,8 @@
 use std::time::Instant;
 
 use adjustment::{
-    Bundle, InverseDepthLandmark, MeasuredPose, MeasuredPoses, MountedCamera, PosePrior, RelativePose,
-    ViewMotion, gauge_information, remove_wrong,
+    Bundle, InverseDepthLandmark, MeasuredPose, MeasuredPoses, PosePrior, RelativePose, ViewMotion,
+    gauge_information, remove_wrong,
 };
 use estimator::EstimatorConfig;
 use estimator::imu::ImuBuffer;
@@ -21,13 +21,13 @@ use sensors::Sequence;
 
 use super::aliasing::find_aliases;
 use super::assemble;
-use super::camera::mounted_cameras;
+use super::camera::Rig;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::joint_covariance::JointCovariance;
-use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
+use super::keyframe_view::{FeatureId, KeyframeView, image_count, keyframes};
 use super::loop_closure::{consistent, find_loops};
-use super::matching::{self, FeatureMatch};
+use super::matching::{self, FeatureMatch, ImageId};
 use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pieces::check_one_piece;
@@ -85,17 +85,17 @@ pub fn build_map_from_odometry(
         builder.use_priors(priors, aligned);
     }
     let (bundle, constraints) = builder.build()?;
-    let Builder { cameras, options, views, mut report, progress, .. } = builder;
+    let Builder { rig, options, views, mut report, progress, .. } = builder;
     let keyframes = keyframes(&views);
-    let joint = covariance_of(&cameras, &constraints, &bundle, &keyframes, &[], report.sigma_px, progress)?;
+    let stated = (&keyframes[..], image_count(&views));
+    let joint = covariance_of(&rig.cameras, &constraints, &bundle, stated, &[], report.sigma_px, progress)?;
     let in_time: Vec<(usize, i64)> = keyframes.iter().map(|&view| (view, views[view].stamp_ns)).collect();
     check_one_piece(&joint, &in_time, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
-    let camera = &cameras[0].camera;
     let mut contents =
-        assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
+        assemble::map_contents(&rig, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     contents.info.own_frame = constraints.own_frame.is_some();
     find_aliases(&mut contents, progress)?;
-    assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
+    assemble::fill_report(&mut report, &rig.cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
 }
@@ -121,7 +121,7 @@ pub(super) struct Builder<'a, 'p> {
     /// Settings of the odometry, with the noise of the IMU as it turns out.
     config: EstimatorConfig,
     /// The cameras.
-    pub(super) cameras: Vec<MountedCamera>,
+    pub(super) rig: Rig,
     /// Settings, with the gravity of G.
     pub(super) options: BuildOptions,
     /// The keyframes, and what ties them together.
@@ -151,20 +151,15 @@ impl<'a, 'p> Builder<'a, 'p> {
         check(options)?;
         let mut options = options.clone();
         options.gravity_in_global = Some(-Vector3::z());
-        let cameras = mounted_cameras(&sequence.cameras);
-        let mut source = FeatureSource::new(extraction, &cameras);
+        let rig = Rig::new(&sequence.cameras, odometry.cameras);
+        let mut source = FeatureSource::new(extraction, &rig);
         let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
         let mut report = BuildReport::of_views(&views, source.unreadable);
         report.untracked_images = UntrackedImages::of(&sequence.frames);
-        let tracks = add_tracks(
-            &mut views,
-            &sequence.frames,
-            &cameras[0].camera,
-            odometry.cameras > 1 && cameras.len() > 1,
-        );
+        let tracks = add_tracks(&mut views, &sequence.frames, &rig);
         report.imu_noise_scale = odometry.imu_noise_scale;
         let readings = buffered(&sequence.imu_samples);
-        make_still(&mut views, &sequence.cameras, &readings, |stamp_ns| {
+        make_still(&mut views, &sequence.cameras, &rig, &readings, |stamp_ns| {
             odometry.at(stamp_ns).map(|state| state.gyroscope_bias)
         });
         let mut config = odometry.config.clone();
@@ -174,7 +169,7 @@ impl<'a, 'p> Builder<'a, 'p> {
             readings,
             odometry,
             config,
-            cameras,
+            rig,
             options,
             views,
             known: Vec::new(),
@@ -202,7 +197,7 @@ impl<'a, 'p> Builder<'a, 'p> {
             .filter_map(|view| self.odometry.at(view.stamp_ns))
             .map(ImuState::motion)
             .collect();
-        let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
+        let in_time = matching::pairs_in_time(&self.rig, &self.views, &self.options);
         let matches = self.matches(&in_time)?;
         let landmarks = self.landmarks(&matches);
         let poses = self.views.iter().map(|view| view.prior.pose).collect();
@@ -211,7 +206,7 @@ impl<'a, 'p> Builder<'a, 'p> {
         self.refuse_wrong_priors(&bundle)?;
         bundle = self.close_loops(bundle)?;
         self.set_priors(&bundle, ADJUSTED_SIGMAS);
-        let in_space: Vec<(usize, usize)> = matching::pairs(&self.views, &self.options)
+        let in_space: Vec<(ImageId, ImageId)> = matching::pairs(&self.rig, &self.views, &self.options)
             .into_iter()
             .filter(|pair| in_time.binary_search(pair).is_err())
             .collect();
@@ -253,7 +248,8 @@ impl<'a, 'p> Builder<'a, 'p> {
         let found = self.find_loops(&bundle)?;
         self.report.loops = found.len();
         let mut constraints = self.constraints(&bundle);
-        let mut loops = constraints.plausible_loops(&self.cameras, &bundle, found, self.report.sigma_px)?;
+        let mut loops =
+            constraints.plausible_loops(&self.rig.cameras, &bundle, found, self.report.sigma_px)?;
         while !loops.is_empty() {
             constraints.relative_poses.clone_from(&loops);
             bundle = self.adjust(&constraints, bundle, 1);
@@ -275,14 +271,14 @@ impl<'a, 'p> Builder<'a, 'p> {
         self.config.imu_noise = self.config.imu_noise.inflated(scale);
     }
 
-    fn matches(&mut self, pairs: &[(usize, usize)]) -> Result<Vec<FeatureMatch>, BuildError> {
-        match_all(&self.cameras, &self.views, pairs, &self.options, &mut self.report, self.progress)
+    fn matches(&mut self, pairs: &[(ImageId, ImageId)]) -> Result<Vec<FeatureMatch>, BuildError> {
+        match_all(&self.rig, &self.views, pairs, &self.options, &mut self.report, self.progress)
     }
 
     fn landmarks(&mut self, matches: &[FeatureMatch]) -> Vec<InverseDepthLandmark> {
         let (matches, tracks) = (matches.to_vec(), self.tracks.clone());
         triangulate_all(
-            &self.cameras,
+            &self.rig,
             &self.views,
             matches,
             tracks,
@@ -318,7 +314,15 @@ impl<'a, 'p> Builder<'a, 'p> {
 
     /// Refines a bundle, see [`refine_all`].
     pub(super) fn adjust(&mut self, constraints: &Constraints, bundle: Bundle, rounds: usize) -> Bundle {
-        refine_all(&self.cameras, constraints, bundle, rounds, &self.options, &mut self.report, self.progress)
+        refine_all(
+            &self.rig.cameras,
+            constraints,
+            bundle,
+            rounds,
+            &self.options,
+            &mut self.report,
+            self.progress,
+        )
     }
 
     fn find_loops(&mut self, bundle: &Bundle) -> Result<Vec<RelativePose>, BuildError> {
@@ -329,11 +333,10 @@ impl<'a, 'p> Builder<'a, 'p> {
         let own = keyframes.map(|(view, _)| (view, covariance)).collect();
         let joint = JointCovariance::of_independent(own);
         let sigma_px = self.options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
-        let camera = &self.cameras[0].camera;
         let contents =
-            assemble::map_contents(camera, &self.views, bundle, Some(&joint), sigma_px, &self.options)?;
+            assemble::map_contents(&self.rig, &self.views, bundle, Some(&joint), sigma_px, &self.options)?;
         let gap = self.options.time_neighbours + 1;
-        find_loops(contents, &self.cameras, &self.views, &bundle.poses, gap, self.progress)
+        find_loops(contents, &self.rig, &self.views, &bundle.poses, gap, self.progress)
     }
 
     /// Takes the poses of the views from a bundle.

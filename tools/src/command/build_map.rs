@@ -42,7 +42,7 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     driftless build-map my_run --map my.db --position-priors gnss_enu.csv --lever-arm 0.1,0,0.4\n  \
     driftless build-map another_run --map my.db --extend\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
-    REC holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
+    REC holds mav0/cam0, and cam1, cam2 ... of a rig, with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
     cam0/features.csv replaces the images. Odometry, places seen again and one visual-inertial adjustment give the poses.\n\n\
     Where poses are known, REC/reference_poses.csv or --poses gives them, or the ground truth with --sigma-theta and\n\
     --sigma-p, and the map is built in their frame. What is stated too small makes the robots overconfident: state the\n\
@@ -106,7 +106,8 @@ pub struct Args {
     /// ... and with this many others nearby with a similar viewing direction
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub space_neighbours: usize,
-    /// Use camera 0 only, where the recording has images of two
+    /// Use camera 0 only, where the recording has images of several: otherwise each stereo pair or single camera has keyframes of its
+    /// own
     #[arg(long)]
     pub mono: bool,
     /// How features are extracted from images
@@ -144,17 +145,18 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let start = Instant::now();
     let mut bar = StageBar::new(args.json);
     let mut show = |stage: Stage, done: usize, all: usize| bar.show(stage, done, all);
+    let cameras = if args.mono { 1 } else { sequence.cameras.len() };
     let from_images = sequence.has_images() && !sequence.has_features();
     let mut extractors = if from_images { args.features.open_several()? } else { Vec::new() };
     let mask = args.features.read_mask()?;
     let (contents, mut report) = if let Some(references) = references {
-        let extraction = extraction_of(&mut extractors, mask.as_ref(), &args);
+        let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);
         let (contents, report) = build_map(&sequence, &references, extraction, &options, &mut show)?;
         (contents, Report::Built(Box::new(report)))
     } else {
-        let extraction = extraction_of(&mut extractors, mask.as_ref(), &args);
+        let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);
         let odometry = odometry(&mut sequence, extraction, &args, &mut options, &mut show)?;
-        let extraction = extraction_of(&mut extractors, mask.as_ref(), &args);
+        let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);
         if let Some(stored) = &stored {
             let (contents, report) =
                 extend_map(stored, &sequence, &odometry, extraction, &options, &mut show)?;
@@ -236,11 +238,12 @@ fn odometry(
 fn extraction_of<'a>(
     extractors: &'a mut [Box<dyn FeatureExtractor>],
     mask: Option<&'a GrayImage>,
+    cameras: usize,
     args: &Args,
 ) -> Option<Extraction<'a>> {
     let (extractor, others) = extractors.split_first_mut()?;
     let extractor = extractor.as_mut();
-    Some(Extraction { extractor, others, max_features: args.features.max_features, mask, stereo: !args.mono })
+    Some(Extraction { extractor, others, max_features: args.features.max_features, mask, cameras })
 }
 
 /// The poses to build from: those of `--poses`, of the sequence, or the ground truth where its standard deviations are

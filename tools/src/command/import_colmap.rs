@@ -75,7 +75,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         others: &mut [],
         max_features: args.features.max_features,
         mask: None,
-        stereo: false,
+        cameras: 1,
     };
     let mut bar = StageBar::new(args.json);
     let name = args.map.file_stem().unwrap_or(args.map.as_os_str()).to_string_lossy();

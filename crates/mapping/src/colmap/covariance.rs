@@ -86,7 +86,7 @@ pub(super) fn covariance(
     let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
     let all: Vec<usize> = (0..views.len()).collect();
     let posterior = Posterior::new(&covariance, &[], &all, &[]);
-    Some(joint_covariance(&posterior, &all, &positions, None, progress))
+    Some(joint_covariance(&posterior, (&all, all.len()), &positions, None, progress))
 }
 
 fn of_points(views: &[View], points: &[Point], sigma_px: f64) -> LandmarkEquations {

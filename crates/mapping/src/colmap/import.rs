@@ -6,7 +6,7 @@ use super::frame::{ColmapFrame, stamp_ns};
 use crate::aliasing::find_aliases;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
-use crate::joint_covariance::JointCovariance;
+use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::progress::{Progress, Stage};
 use crate::refinement::{REPROJECTION_GATE, median_sigma_px};
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -219,8 +219,9 @@ impl<'a> Scene<'a> {
             }
         };
         contents.keyframes = (0..self.views.len()).filter(is_used).map(keyframe).collect();
-        (contents.cross_covariances, contents.common_errors) =
-            joint.of_keyframes(|view| is_used(&view).then(|| self.images[view].0));
+        (contents.cross_covariances, contents.common_errors) = joint.of_keyframes(|view| {
+            if is_used(&view) { StatedKeyframe::alone(self.images[view].0) } else { Vec::new() }
+        });
     }
 }
 

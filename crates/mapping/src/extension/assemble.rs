@@ -10,8 +10,8 @@ use protocol::{KeyframeId, LandmarkId};
 
 use super::error::ExtendError;
 use super::report::ExtensionReport;
-use crate::assemble::{keyframe_id, map_contents};
-use crate::joint_covariance::JointCovariance;
+use crate::assemble::{map_contents, map_observation, stated_keyframes};
+use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::without_references::Builder;
 
 /// The map of both: what was stored with its ids, moved, and what is new with ids beyond them.
@@ -23,14 +23,14 @@ pub(super) fn extended(
     sigma_px: f64,
 ) -> Result<MapContents, ExtendError> {
     let views = builder.views.len();
-    let ids = Ids::after(stored, views);
+    let ids = Ids::after(stored);
     let (again, new): (Vec<_>, Vec<_>) =
         both.landmarks.iter().cloned().partition(|landmark| landmark.prior.is_some());
     let of_recording = Bundle { poses: both.poses[..views].to_vec(), motions: Vec::new(), landmarks: new };
-    let camera = &builder.cameras[0].camera;
-    let own = JointCovariance::of_independent(joint.own.clone());
+    let own = joint.own.range(..views).map(|(view, of_view)| (*view, *of_view)).collect();
+    let own = JointCovariance::of_independent(own);
     let mut recording =
-        map_contents(camera, &builder.views, &of_recording, Some(&own), sigma_px, &builder.options)?;
+        map_contents(&builder.rig, &builder.views, &of_recording, Some(&own), sigma_px, &builder.options)?;
 
     let mut contents = stored.clone();
     contents.info.sigma_px = stored.info.sigma_px.max(sigma_px);
@@ -47,10 +47,15 @@ pub(super) fn extended(
         landmark.anchor += ids.last_keyframe;
         landmark.observations.iter_mut().for_each(|observation| observation.keyframe += ids.last_keyframe);
     }
-    add_observations(&mut contents.landmarks, &again, builder, &ids);
+    add_observations(&mut contents.landmarks, &again, builder, ids.last_keyframe);
     contents.landmarks.append(&mut recording.landmarks);
     (contents.cross_covariances, contents.common_errors) =
-        joint.of_keyframes(|view| Some(ids.keyframe(view)));
+        joint.of_keyframes(|view| match builder.views.get(view) {
+            Some(content) => {
+                stated_keyframes(&builder.rig, (view, content), &both.poses[view], ids.last_keyframe)
+            }
+            None => StatedKeyframe::alone(ids.stored[view - views]),
+        });
     contents.sort();
     contents.validate()?;
     Ok(contents)
@@ -61,24 +66,15 @@ struct Ids {
     last_keyframe: KeyframeId,
     last_landmark: LandmarkId,
     stored: Vec<KeyframeId>,
-    views: usize,
 }
 
 impl Ids {
-    fn after(stored: &MapContents, views: usize) -> Ids {
+    fn after(stored: &MapContents) -> Ids {
         let keyframes: Vec<KeyframeId> = stored.keyframes.iter().map(|keyframe| keyframe.id).collect();
         Ids {
             last_keyframe: keyframes.iter().copied().max().unwrap_or_default(),
             last_landmark: stored.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default(),
             stored: keyframes,
-            views,
-        }
-    }
-
-    fn keyframe(&self, view: usize) -> KeyframeId {
-        match view.checked_sub(self.views) {
-            Some(at) => self.stored[at],
-            None => self.last_keyframe + keyframe_id(view),
         }
     }
 }
@@ -88,7 +84,7 @@ fn add_observations(
     landmarks: &mut [Landmark],
     again: &[InverseDepthLandmark],
     builder: &Builder<'_, '_>,
-    ids: &Ids,
+    last_keyframe: KeyframeId,
 ) {
     let again: BTreeMap<LandmarkId, &InverseDepthLandmark> =
         again.iter().filter_map(|landmark| Some((landmark.prior.as_ref()?.id, landmark))).collect();
@@ -96,15 +92,12 @@ fn add_observations(
         let Some(adjusted) = again.get(&landmark.id) else { continue };
         landmark.position_in_anchor = adjusted.ray.push(1.0) / adjusted.inverse_depth;
         for observation in &adjusted.observations {
-            let (view, feature) = observation.feature;
-            let Some(content) = builder.views.get(view).filter(|_| observation.camera == 0) else { continue };
-            let (Some(&pixel), Some(descriptor)) =
-                (content.features.pixels.get(feature), content.features.descriptors.get(feature))
-            else {
+            if observation.is_second || observation.view() >= builder.views.len() {
                 continue;
-            };
-            let (keyframe, descriptor) = (ids.keyframe(view), descriptor.to_vec());
-            landmark.observations.push(Observation { keyframe, pixel, descriptor });
+            }
+            let observed = map_observation(&builder.rig, observation.feature, &builder.views);
+            let renamed = |of: Observation| Observation { keyframe: of.keyframe + last_keyframe, ..of };
+            landmark.observations.extend(observed.map(renamed));
         }
     }
 }

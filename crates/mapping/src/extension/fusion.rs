@@ -6,6 +6,7 @@ use adjustment::{InverseDepthLandmark, LandmarkObservation};
 use map::contents::MapContents;
 use protocol::LandmarkId;
 
+use crate::camera::Rig;
 use crate::keyframe_view::{FeatureId, KeyframeView};
 use crate::places::StoredPlace;
 use crate::stored_landmarks::StoredLandmarks;
@@ -19,6 +20,7 @@ use crate::stored_landmarks::StoredLandmarks;
 /// The landmarks that are new, and those of the map, each with its prior and all observations of the recording.
 pub(super) fn fuse(
     stored: &MapContents,
+    rig: &Rig,
     views: &[KeyframeView<'_>],
     places: &[StoredPlace],
     landmarks: Vec<InverseDepthLandmark>,
@@ -39,18 +41,12 @@ pub(super) fn fuse(
         seen.entry(id).or_default().extend(landmark.observations);
     }
     for ((view, feature), id) in shown {
-        let first =
-            LandmarkObservation { feature: (view, feature), camera: 0, pixel: views[view].pixel(feature) };
-        let second = views[view].stereo_pixel(feature);
-        let second = second.map(|pixel| LandmarkObservation { camera: 1, pixel, ..first });
-        seen.entry(id).or_default().extend(std::iter::once(first).chain(second));
+        seen.entry(id).or_default().extend(rig.observations((view, feature), &views[view]));
     }
     let known = StoredLandmarks::of_map(stored);
-    fused.extend(
-        seen.into_iter().filter_map(|(id, observations)| {
-            Some(observed(known.with_prior(id, views.len())?, observations))
-        }),
-    );
+    fused.extend(seen.into_iter().filter_map(|(id, observations)| {
+        Some(observed(rig, known.with_prior(id, views.len())?, observations))
+    }));
     fused
 }
 
@@ -76,14 +72,16 @@ fn most_frequent(ids: impl Iterator<Item = LandmarkId>) -> Option<LandmarkId> {
 
 /// Adds observations, one for each view and camera. The anchor's view comes last of all.
 fn observed(
+    rig: &Rig,
     landmark: InverseDepthLandmark,
     mut observations: Vec<LandmarkObservation>,
 ) -> InverseDepthLandmark {
     observations.sort_by_key(|observation| (observation.view(), observation.feature.1, observation.camera));
-    let mut feature_of: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut feature_of: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     observations.retain(|observation| {
         let (view, feature) = observation.feature;
-        *feature_of.entry(view).or_insert(feature) == feature
+        let first_camera = rig.first_camera(observation.camera);
+        *feature_of.entry((view, first_camera)).or_insert(feature) == feature
     });
     let mut unique = BTreeSet::new();
     observations.retain(|observation| unique.insert((observation.view(), observation.camera)));

@@ -26,7 +26,7 @@ use sensors::Sequence;
 use crate::aliasing::find_aliases;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
-use crate::keyframe_view::keyframes;
+use crate::keyframe_view::{image_count, keyframes};
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
 use crate::options::BuildOptions;
@@ -104,17 +104,17 @@ pub fn extend_map(
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(report.agreeing_places));
     }
-    both.landmarks = fusion::fuse(stored, &builder.views, &places, both.landmarks);
+    both.landmarks = fusion::fuse(stored, &builder.rig, &builder.views, &places, both.landmarks);
     let constraints = constraints(&builder, &both, &stored_poses, Vec::new());
     let mut both = builder.adjust(&constraints, both, ROUNDS);
     stored_poses.follow(&mut both.poses);
     let mut views = keyframes(&builder.views);
     views.extend(builder.views.len()..both.poses.len());
     let joint = covariance_of(
-        &builder.cameras,
+        &builder.rig.cameras,
         &constraints,
         &both,
-        &views,
+        (&views, image_count(&builder.views) + stored.keyframes.len()),
         std::slice::from_ref(&stored_poses),
         sigma_px,
         builder.progress,
@@ -152,10 +152,16 @@ fn places_of(
     builder: &mut Builder<'_, '_>,
     poses: &[Pose],
 ) -> Result<Vec<StoredPlace>, BuildError> {
-    let camera = &builder.cameras[0].camera;
-    let keyframes = builder.views.iter().enumerate().filter(|(_, content)| content.is_keyframe());
-    let queries: Vec<PlaceQuery<'_>> =
-        keyframes.map(|(view, content)| PlaceQuery { view, camera, features: &content.features }).collect();
+    let mut queries: Vec<PlaceQuery<'_>> = Vec::new();
+    for (view, content) in builder.views.iter().enumerate() {
+        queries.extend(content.images.iter().enumerate().map(|(image, of)| PlaceQuery {
+            view,
+            camera: builder.rig.camera(of.group),
+            view_from_camera: builder.rig.mounted(of.group),
+            first_feature: content.first_feature(image),
+            features: &of.features,
+        }));
+    }
     find_places(stored, &queries, poses, builder.progress)
 }
 
@@ -216,7 +222,7 @@ fn tie(
 ) -> Result<(Bundle, Vec<StoredPlace>), BuildError> {
     let mut relative: Vec<RelativePose> = places.iter().map(|place| place.relative.clone()).collect();
     let first = constraints(builder, &both, stored, relative[..1].to_vec());
-    relative = first.plausible_loops(&builder.cameras, &both, relative, builder.report.sigma_px)?;
+    relative = first.plausible_loops(&builder.rig.cameras, &both, relative, builder.report.sigma_px)?;
     while !relative.is_empty() {
         let tied = constraints(builder, &both, stored, relative.clone());
         both = builder.adjust(&tied, both, 1);

@@ -32,6 +32,7 @@ use map::model::{CommonError, KeyframeCrossCovariance};
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::KeyframeId;
 
+use super::camera::Mounting;
 use super::stored_poses::Posterior;
 use anchors::low_rank_part;
 use frame::WholeMapFrame;
@@ -54,6 +55,14 @@ struct Form {
 /// A keyframe of a large map takes about the room of one in a map of [`ALL_UP_TO`]. Up to 2000 keyframes, the variance of a
 /// relative pose is then right within a few percent, see the derivation.
 const FORM: Form = Form { all_up_to: ALL_UP_TO, anchors: 64, neighbours: 192 };
+
+impl Form {
+    /// The form for views each of which is as many keyframes: what a keyframe takes stays the same.
+    fn for_keyframes(self, keyframes: usize, views: usize) -> Form {
+        let of_views = |count: usize| (count * views).div_ceil(keyframes.max(views).max(1));
+        Form { all_up_to: of_views(self.all_up_to), neighbours: of_views(self.neighbours), ..self }
+    }
+}
 
 /// Covariances and cross-covariances of the keyframes' poses, by view.
 pub(super) struct JointCovariance {
@@ -88,40 +97,91 @@ impl JointCovariance {
         views.windows(2).map(relative).collect()
     }
 
-    /// Cross-covariances and common errors as a map states them, of the views that are keyframes.
+    /// Cross-covariances and common errors as a map states them. Those of the keyframes of one view are what their mounting makes of
+    /// the covariance of its pose.
+    ///
+    /// # Arguments
+    /// * `keyframes`: the keyframes that a view is.
     pub(super) fn of_keyframes(
         &self,
-        id: impl Fn(usize) -> Option<KeyframeId>,
+        keyframes: impl Fn(usize) -> Vec<StatedKeyframe>,
     ) -> (Vec<KeyframeCrossCovariance>, Vec<CommonError>) {
-        let cross = |(i, j, block): &(usize, usize, Matrix6<f64>)| {
-            Some(KeyframeCrossCovariance { a: id(*i)?, b: id(*j)?, block: *block }.ordered())
-        };
-        let common = |(view, factor): (&usize, &Matrix6xX<f64>)| {
-            Some(CommonError { keyframe: id(*view)?, factor: factor.clone() })
-        };
-        (self.cross.iter().filter_map(cross).collect(), self.common.iter().filter_map(common).collect())
+        let keyframes: BTreeMap<usize, Vec<StatedKeyframe>> =
+            self.own.keys().map(|&view| (view, keyframes(view))).collect();
+        let mut cross = Vec::new();
+        for (i, j, block) in &self.cross {
+            for a in &keyframes[i] {
+                cross.extend(keyframes[j].iter().map(|b| a.with(b, block)));
+            }
+        }
+        for (view, of_view) in keyframes.iter().filter(|(_, of_view)| of_view.len() > 1) {
+            let common =
+                self.common.get(view).map_or_else(Matrix6::zeros, |common| common * common.transpose());
+            let rest = self.own[view] - common;
+            for (index, b) in of_view.iter().enumerate() {
+                cross.extend(of_view[..index].iter().map(|a| a.with(b, &rest)));
+            }
+        }
+        let mut common = Vec::new();
+        for (view, factor) in &self.common {
+            common.extend(keyframes[view].iter().map(|keyframe| keyframe.common(factor)));
+        }
+        (cross, common)
+    }
+}
+
+/// A keyframe of a view.
+pub(super) struct StatedKeyframe {
+    /// Its name in the map.
+    pub(super) id: KeyframeId,
+    /// How its error depends on that of the view's pose; `None` where it is the same.
+    pub(super) mounting: Option<Mounting>,
+}
+
+impl StatedKeyframe {
+    /// The only keyframe of a view, whose pose is the view's.
+    pub(super) fn alone(id: KeyframeId) -> Vec<StatedKeyframe> {
+        vec![StatedKeyframe { id, mounting: None }]
+    }
+
+    fn with(&self, other: &StatedKeyframe, of_views: &Matrix6<f64>) -> KeyframeCrossCovariance {
+        let mut block = *of_views;
+        if let Some(Mounting { jacobian }) = &self.mounting {
+            block = jacobian * block;
+        }
+        if let Some(Mounting { jacobian }) = &other.mounting {
+            block *= jacobian.transpose();
+        }
+        KeyframeCrossCovariance { a: self.id, b: other.id, block }.ordered()
+    }
+
+    fn common(&self, of_view: &Matrix6xX<f64>) -> CommonError {
+        let factor = self.mounting.map_or_else(|| of_view.clone(), |mounting| mounting.jacobian * of_view);
+        CommonError { keyframe: self.id, factor }
     }
 }
 
 /// The joint covariance of the poses of some views.
 ///
 /// # Arguments
+/// * `keyframes`: how many keyframes the views are.
 /// * `posterior`: of the views, which are at `positions` (m).
 /// * `own_frame`: direction of gravity, unit vector, where the views define the frame.
 pub(super) fn joint_covariance(
     posterior: &Posterior<'_>,
-    views: &[usize],
+    (views, keyframes): (&[usize], usize),
     positions: &[Vector3<f64>],
     own_frame: Option<&Vector3<f64>>,
     progress: impl FnMut(usize, usize),
 ) -> JointCovariance {
     let column = |j: usize| posterior.column(j);
+    let form = FORM.for_keyframes(keyframes, views.len());
     let Blocks { own, common, cross } = match own_frame {
         Some(gravity) => {
             let frame = WholeMapFrame::new(positions, gravity, column);
-            stated(FORM, positions, |j| frame.column(j), progress)
+            stated(form, positions, |j| frame.column(j), progress)
         }
-        None => stated(FORM, positions, column, progress),
+        None => stated(form, positions, column, progress),
     };
     JointCovariance {
         own: views.iter().copied().zip(own).collect(),

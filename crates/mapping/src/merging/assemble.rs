@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use super::{MergeError, MergeReport};
-use crate::joint_covariance::JointCovariance;
+use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 
 /// The map of both: the first one with its ids, moved, and the second one with ids beyond them.
 ///
@@ -37,7 +37,8 @@ pub(super) fn merged(
         keyframe.global_from_keyframe = PoseWithCovariance::new(poses[view], joint.own[&view]);
     }
     let id = |view: usize| keyframes[view].id;
-    (contents.cross_covariances, contents.common_errors) = joint.of_keyframes(|view| Some(id(view)));
+    (contents.cross_covariances, contents.common_errors) =
+        joint.of_keyframes(|view| StatedKeyframe::alone(id(view)));
     add_landmarks(&mut contents, second, poses, ties, last_keyframe, last_landmark);
     contents.keyframes = keyframes;
     contents.sort();

@@ -55,7 +55,13 @@ impl KeyframeFeatures<'_> {
 
     /// The query for its place.
     pub(super) fn query(&self) -> PlaceQuery<'_> {
-        PlaceQuery { view: self.view, camera: self.camera, features: &self.features }
+        PlaceQuery {
+            view: self.view,
+            camera: self.camera,
+            view_from_camera: None,
+            first_feature: 0,
+            features: &self.features,
+        }
     }
 }
 

@@ -141,8 +141,15 @@ pub fn merge_maps(
     }
     let all: Vec<usize> = (0..bundle.poses.len()).collect();
     let sigma_px = adjuster.sigma_px();
-    let joint =
-        covariance_of(&[], &constraints, &bundle, &all, &adjuster.stored, sigma_px, adjuster.progress)?;
+    let joint = covariance_of(
+        &[],
+        &constraints,
+        &bundle,
+        (&all, all.len()),
+        &adjuster.stored,
+        sigma_px,
+        adjuster.progress,
+    )?;
     let mut contents = assemble::merged(first, &aligned, &bundle.poses, &constraints.ties, &joint)?;
     find_aliases(&mut contents, adjuster.progress)?;
     assemble::fill_report(&mut report, first, &contents, &to_first);

@@ -40,7 +40,7 @@ fn the_joint_covariance_is_the_inverse_of_the_equations() {
     let views = [0, 2, 3, 4, 5, 7, 8, 9, 11];
     let covariance = equations.covariance().unwrap();
     let posterior = Posterior::new(&covariance, &[], &views, &[]);
-    let joint = joint_covariance(&posterior, &views, &[Vector3::zeros(); 9], None, |_, _| ());
+    let joint = joint_covariance(&posterior, (&views, views.len()), &[Vector3::zeros(); 9], None, |_, _| ());
     let inverse = full.try_inverse().unwrap();
     let expected = DMatrix::from_fn(54, 54, |row, column| {
         inverse[(6 * views[row / 6] + row % 6, 6 * views[column / 6] + column % 6)]
@@ -58,7 +58,7 @@ fn what_a_large_map_leaves_out_leaves_a_covariance() {
     let positions: Vec<_> = (0..420).map(|i| Vector3::new(f64::from(i), 0.0, 0.0)).collect();
     let views: Vec<usize> = (0..420).collect();
     let posterior = Posterior::new(&covariance, &[], &views, &[]);
-    let joint = joint_covariance(&posterior, &views, &positions, None, |_, _| ());
+    let joint = joint_covariance(&posterior, (&views, views.len()), &positions, None, |_, _| ());
     assert!(joint.cross.len() < 420 * 419 / 2 && joint.cross.len() > 420 * 30, "{}", joint.cross.len());
     let own: Vec<_> = joint.own.values().copied().collect();
     let mut stated = dense(&own, joint.cross);

@@ -17,7 +17,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 use super::{camera, normal};
-use crate::camera::mounted_cameras;
+use crate::camera::Rig;
 use crate::refinement::pixel_model;
 use crate::stored_poses::StoredPoses;
 
@@ -61,7 +61,7 @@ fn observations(rng: &mut StdRng, poses: &[Pose]) -> Vec<InverseDepthLandmark> {
                 .map(|view| {
                     let exact = camera.project(&poses[view].inverse_transform(&position)).unwrap();
                     let pixel = exact + Vector2::new(normal(rng), normal(rng)) * SIGMA_PX;
-                    LandmarkObservation { feature: (view, index), camera: 0, pixel }
+                    LandmarkObservation { feature: (view, index), camera: 0, is_second: false, pixel }
                 })
                 .collect();
             InverseDepthLandmark { anchor: 0, ray, inverse_depth, observations, prior: None }
@@ -92,7 +92,7 @@ impl Place {
             PosePrior::of_reference(view, &PoseWithCovariance::new(truth[view].retract(&error), covariance))
         };
         let priors = (0..ADDED + STORED).map(|view| reference(view, &mut rng)).collect();
-        let cameras = mounted_cameras(&[sensor]);
+        let cameras = Rig::new(&[sensor], 1).cameras;
         Place { truth, landmarks, cameras, priors }
     }
 

@@ -21,6 +21,7 @@ use crate::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 
 mod equations;
 mod extension;
+mod rig;
 mod selection;
 
 fn normal(rng: &mut StdRng) -> f64 {
@@ -340,6 +341,6 @@ fn a_track_has_one_feature_a_view_and_trusts_the_surest_match() {
         found((0, 0), (2, 1), 0.2),
         found((2, 1), (3, 0), 0.1),
     ];
-    let tracks = tracks::chain(&[1, 1, 2, 1], matches);
+    let tracks = tracks::chain(&[vec![1], vec![1], vec![2], vec![1]], matches);
     assert_eq!(tracks, vec![vec![(0, 0), (1, 0), (2, 0)], vec![(2, 1), (3, 0)]]);
 }

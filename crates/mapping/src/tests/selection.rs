@@ -9,7 +9,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use sensors::{CameraSensor, Frame, ImageData, ReferencePose, Sequence};
 use vision::{FeatureExtractor, GrayImage, features};
 
-use crate::camera::mounted_cameras;
+use crate::camera::Rig;
 use crate::feature_source::FeatureSource;
 use crate::keyframe_selection::select_keyframes;
 use crate::keyframe_view::KeyframeView;
@@ -20,7 +20,7 @@ const FRAMES: usize = 24;
 /// A frame whose image cannot be read.
 const MISSING: usize = 9;
 
-/// A wall in blocks of random brightness that a camera moves along, and faster towards the end.
+/// A wall in blocks of random brightness that a stereo pair moves along, and faster towards the end; a camera behind sees another one.
 fn sequence() -> Sequence {
     let camera = Camera {
         width: 160,
@@ -29,9 +29,9 @@ fn sequence() -> Sequence {
         centre: [80.0, 60.0],
         distortion: Distortion::RadialTangential([0.0; 4]),
     };
-    let sensor = |x| {
-        let mounted = Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0));
-        CameraSensor::new(camera.clone(), mounted, 20.0)
+    let sensor = |x, turned_rad| {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turned_rad);
+        CameraSensor::new(camera.clone(), Pose::new(rotation, Vector3::new(x, 0.0, 0.0)), 20.0)
     };
     let image = |offset: usize| {
         let brightness = |x: usize, y: usize| {
@@ -46,7 +46,7 @@ fn sequence() -> Sequence {
             if index == MISSING { ImageData::File("missing.png".into()) } else { image(offset(index)) };
         Frame {
             stamp_ns: stamp_ns(index),
-            images: [(0, first), (1, image(offset(index) + 5))].into(),
+            images: [(0, first), (1, image(offset(index) + 5)), (2, image(offset(index) + 70))].into(),
             ..Frame::default()
         }
     };
@@ -58,7 +58,7 @@ fn sequence() -> Sequence {
         wheel_readings: Vec::new(),
         gnss: None,
         gnss_readings: Vec::new(),
-        cameras: vec![sensor(0.0), sensor(0.1)],
+        cameras: vec![sensor(0.0, 0.0), sensor(0.1, 0.0), sensor(0.0, 3.1)],
         frames: (0..FRAMES).map(frame).collect(),
         groundtruth: None,
         reference_poses: None,
@@ -88,14 +88,17 @@ fn extractors(count: usize) -> Vec<Box<dyn FeatureExtractor>> {
 
 fn extraction(extractors: &mut [Box<dyn FeatureExtractor>]) -> Extraction<'_> {
     let (first, others) = extractors.split_first_mut().unwrap();
-    Extraction { extractor: first.as_mut(), others, max_features: 100, mask: None, stereo: true }
+    Extraction { extractor: first.as_mut(), others, max_features: 100, mask: None, cameras: usize::MAX }
 }
 
 fn assert_equal(found: &[KeyframeView<'_>], expected: &[KeyframeView<'_>]) {
     assert_eq!(found.len(), expected.len());
     for (found, expected) in found.iter().zip(expected) {
         assert_eq!(found.stamp_ns, expected.stamp_ns);
-        assert_eq!(found.features, expected.features);
+        let features = |view: &KeyframeView<'_>| -> Vec<_> {
+            view.images.iter().map(|image| (image.group, image.features.clone().into_owned())).collect()
+        };
+        assert_eq!(features(found), features(expected));
         assert_eq!(found.stereo, expected.stereo);
         assert_eq!(found.prior.pose, expected.prior.pose);
     }
@@ -105,19 +108,20 @@ fn assert_equal(found: &[KeyframeView<'_>], expected: &[KeyframeView<'_>]) {
 fn keyframes_depend_neither_on_the_number_of_extractors_nor_on_when_they_are_selected() {
     let sequence = sequence();
     let options = BuildOptions::default();
-    let cameras = mounted_cameras(&sequence.cameras);
+    let rig = Rig::new(&sequence.cameras, usize::MAX);
     let references: Vec<ReferencePose> =
         (0..FRAMES).map(|index| local_reference(stamp_ns(index), &state(index))).collect();
     let mut one = extractors(1);
-    let mut source = FeatureSource::new(Some(extraction(&mut one)), &cameras);
+    let mut source = FeatureSource::new(Some(extraction(&mut one)), &rig);
     let expected =
         select_keyframes(&sequence, &references, &mut source, &options, &mut |_, _, _| ()).unwrap();
     assert!((4..FRAMES - 4).contains(&expected.len()), "{} keyframes", expected.len());
     assert!(expected.iter().any(|view| view.stereo.iter().any(Option::is_some)));
+    assert!(expected.iter().all(|view| view.image_of(1).is_some()));
     assert_eq!(source.unreadable.len(), 1);
     for count in [2, 3] {
         let mut several = extractors(count);
-        let mut ahead = FeatureSource::new(Some(extraction(&mut several)), &cameras);
+        let mut ahead = FeatureSource::new(Some(extraction(&mut several)), &rig);
         let views =
             select_keyframes(&sequence, &references, &mut ahead, &options, &mut |_, _, _| ()).unwrap();
         assert_equal(&views, &expected);
@@ -138,6 +142,30 @@ fn keyframes_depend_neither_on_the_number_of_extractors_nor_on_when_they_are_sel
         assert_equal(&selected.views, &expected);
         assert_eq!(selected.unreadable, source.unreadable);
     }
+}
+
+#[test]
+fn cameras_that_are_triggered_apart_have_keyframes_of_their_own() {
+    let mut sequence = sequence();
+    for (index, frame) in sequence.frames.iter_mut().enumerate() {
+        frame.images.retain(|&camera, _| (camera == 2) == (index % 2 == 1));
+    }
+    let references: Vec<ReferencePose> =
+        (0..FRAMES).map(|index| local_reference(stamp_ns(index), &state(index))).collect();
+    let rig = Rig::new(&sequence.cameras, usize::MAX);
+    let mut extractors = extractors(2);
+    let mut source = FeatureSource::new(Some(extraction(&mut extractors)), &rig);
+    let options = BuildOptions::default();
+    let views = select_keyframes(&sequence, &references, &mut source, &options, &mut |_, _, _| ()).unwrap();
+    for group in 0..2 {
+        let of_group = || views.iter().filter(|view| view.image_of(group).is_some());
+        assert!(of_group().count() >= 4, "{} of group {group}", of_group().count());
+        // None is taken before the camera has moved by half of what a keyframe needs.
+        let positions: Vec<f64> = of_group().map(|view| view.prior.pose.translation.x).collect();
+        let least = positions.windows(2).map(|pair| pair[1] - pair[0]).fold(f64::INFINITY, f64::min);
+        assert!(least >= 0.5 * options.min_distance - 1e-9, "{positions:?}");
+    }
+    assert!(views.iter().all(|view| view.images.len() == 1));
 }
 
 #[test]

@@ -59,7 +59,7 @@ impl MappedRoom {
             others: &mut [],
             max_features: MAX_FEATURES,
             mask: None,
-            stereo: true,
+            cameras,
         };
         let mut options = BuildOptions::default();
         options.name = String::from("room");

@@ -144,6 +144,7 @@ fn initial_landmarks(
         let observation = |seen: &WindowObservation| LandmarkObservation {
             feature: (seen.image, seen.camera),
             camera: seen.camera,
+            is_second: false,
             pixel: seen.pixel,
         };
         let observations = track.iter().map(observation).collect();
