@@ -78,6 +78,8 @@ impl World {
                 imu_samples: Vec::new(),
                 wheels: None,
                 wheel_readings: Vec::new(),
+                gnss: None,
+                gnss_readings: Vec::new(),
                 cameras: sensors.clone(),
                 frames: Vec::new(),
                 groundtruth: None,
