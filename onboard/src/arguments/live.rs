@@ -24,7 +24,8 @@ pub struct LiveArguments {
     /// Zenoh router that drivers of --source native are connected to, where that is not the one of the map
     #[arg(long, value_name = "ENDPOINT", help_heading = INPUT)]
     pub sensors_connect: Option<String>,
-    /// Live frames that may wait for the estimator; beyond, the oldest is dropped
+    /// Live frames that may wait for the estimator, of each of several cameras that are triggered apart; beyond, the oldest is
+    /// dropped
     #[arg(long, value_name = "N", default_value_t = 5, help_heading = INPUT)]
     pub max_waiting_frames: usize,
 }

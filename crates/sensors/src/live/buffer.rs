@@ -11,7 +11,7 @@ use super::stream::Stream;
 use crate::imu_intake::ImuIntake;
 use crate::{ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups};
 use protocol::FeatureSet;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
@@ -255,15 +255,15 @@ impl LiveBuffer {
         }
         let stream = if self.tracks.is_some() { Stream::Tracks } else { Stream::Camera(0) };
         let noun = stream.noun();
-        let due = self.frames.partition_point(|(stamp_ns, _)| *stamp_ns <= self.imu_until_ns);
-        for _ in self.max_waiting_frames..due {
+        let mut due = self.frames.partition_point(|(stamp_ns, _)| *stamp_ns <= self.imu_until_ns);
+        while self.most_waiting(due) > self.max_waiting_frames {
             self.frames.pop_front();
+            due -= 1;
             let problem = format!(
                 "{noun} are dropped, the oldest first: the processor does not keep up; send fewer or smaller images"
             );
             self.faults.note(stream, FaultKind::Overload, now, problem);
         }
-        let due = due.min(self.max_waiting_frames);
         while self.frames.len() - due > MAX_WAITING_FOR_IMU {
             self.frames.remove(due);
             let problem = format!(
@@ -271,6 +271,15 @@ impl LiveBuffer {
             );
             self.faults.note(stream, FaultKind::WithoutImu, now, problem);
         }
+    }
+
+    /// How many of the first frames are of one camera, at most: cameras that are triggered apart give frames of their own.
+    fn most_waiting(&self, due: usize) -> usize {
+        let mut counts: BTreeMap<Option<usize>, usize> = BTreeMap::new();
+        for (_, frame) in self.frames.range(..due) {
+            *counts.entry(frame.images.keys().next().copied()).or_default() += 1;
+        }
+        counts.into_values().max().unwrap_or_default()
     }
 
     /// The next event, if there is one.

@@ -34,7 +34,8 @@ pub struct LiveSettings {
     pub imu_units: ImuUnits,
     /// What is expected of the wheels.
     pub wheels: Option<WheelReadings>,
-    /// Frames that may wait for the estimator; beyond, the oldest is dropped. Five are a quarter of a second at 20 Hz.
+    /// Frames that may wait for the estimator, of each of several cameras that are triggered apart; beyond, the oldest is dropped.
+    /// Five are a quarter of a second at 20 Hz.
     pub max_waiting_frames: usize,
 }
 
