@@ -61,25 +61,28 @@ impl Model {
     }
 }
 
-/// Error of the odometry, yaw-aligned, metres.
-fn error_m(scratch: &Scratch, switches: &str, out: &str) -> f64 {
+/// Error of the odometry, yaw-aligned (m), and by how much the filter finds the IMU noisier than its data sheet.
+fn odometry(scratch: &Scratch, switches: &str, out: &str) -> (f64, f64) {
     scratch.run(&format!("run town/live --mode odometry --init truth {switches} --out {out}"));
     let summary = std::fs::read_to_string(scratch.path(out).join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
-    summary["score"]["odometry_yaw_aligned_m"]["rmse"].as_f64().unwrap()
+    let error_m = summary["score"]["odometry_yaw_aligned_m"]["rmse"].as_f64().unwrap();
+    (error_m, summary["learned_noise"]["imu_noise_scale"].as_f64().unwrap())
 }
 
 #[test]
 fn a_calibrated_scale_gives_the_run_of_an_ideal_imu() {
     let scratch = Scratch::new();
     scratch.run("simulate --out town --seed 3 --duration 20");
-    let ideal_m = error_m(&scratch, "", "ideal");
+    let ideal = odometry(&scratch, "", "ideal");
     let model = Model::new();
     model.distort(&scratch.path("town/live/mav0/imu0/data.csv"));
     std::fs::write(scratch.path("imu.yaml"), model.yaml()).unwrap();
-    let calibrated_m = error_m(&scratch, "--imu-calibration imu.yaml", "calibrated");
-    let uncalibrated_m = error_m(&scratch, "", "uncalibrated");
-    println!("ideal {ideal_m:.4} m, calibrated {calibrated_m:.4} m, uncalibrated {uncalibrated_m:.4} m");
-    assert!((calibrated_m - ideal_m).abs() < 1e-3 + 0.01 * ideal_m);
-    assert!(uncalibrated_m > 3.0 * ideal_m);
+    let calibrated = odometry(&scratch, "--imu-calibration imu.yaml", "calibrated");
+    let uncalibrated = odometry(&scratch, "", "uncalibrated");
+    println!("ideal {ideal:?}, calibrated {calibrated:?}, uncalibrated {uncalibrated:?}");
+    assert!((calibrated.0 - ideal.0).abs() < 1e-3 + 0.01 * ideal.0);
+    assert!((calibrated.1 - ideal.1).abs() < 0.02 * ideal.1);
+    // Tracks hold the position of a short run; what its readings lack shows as noise.
+    assert!(uncalibrated.1 > 1.5 * ideal.1);
 }
