@@ -105,9 +105,10 @@ impl Estimator {
         let before = (self.state.clone(), self.covariance.clone());
         let known_in_map = self.known_in_map;
         self.remove_transform();
-        self.known_in_map = known_in_map;
         self.covariance.invalidate(&self.held_keyframes());
         let outcome = self.verify_and_update(clone, answer, report)?;
+        // With the state from before, and a version changes little.
+        self.known_in_map = known_in_map;
         if outcome.is_err() {
             (self.state, self.covariance) = before;
         } else {
