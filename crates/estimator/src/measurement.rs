@@ -3,7 +3,7 @@
 use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::{Dense, Factorization};
 use faer::linalg::matmul::triangular::BlockStructure;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use std::ops::Range;
 
 /// The blocks of the error state that a measurement depends on. Its Jacobian has their columns, in this order.
@@ -67,6 +67,35 @@ pub struct LinearizedMeasurement {
 }
 
 impl LinearizedMeasurement {
+    /// Takes in a small measurement of active blocks, whitened by its covariance; `false` where that is not positive definite.
+    ///
+    /// # Arguments
+    /// * `jacobian`: with the columns of the blocks; further ones are not used.
+    pub fn set_whitened<const ROWS: usize, const COLUMNS: usize>(
+        &mut self,
+        active: &[Range<usize>],
+        jacobian: &SMatrix<f64, ROWS, COLUMNS>,
+        residual: &SVector<f64, ROWS>,
+        covariance: SMatrix<f64, ROWS, ROWS>,
+    ) -> bool {
+        let Some(root) = covariance.cholesky().and_then(|factor| factor.l().try_inverse()) else {
+            return false;
+        };
+        let jacobian = root * jacobian;
+        self.blocks.keyframes.clear();
+        self.blocks.active.clear();
+        self.blocks.active.extend(active.iter().cloned());
+        self.upper_triangular = false;
+        let columns = self.blocks.active_len();
+        self.jacobian.reset(ROWS, columns);
+        for column in 0..columns {
+            self.jacobian.column_mut(column).copy_from_slice(jacobian.column(column).as_slice());
+        }
+        self.residual.clear();
+        self.residual.extend((root * residual).iter());
+        true
+    }
+
     /// Structure of `H` that a product can exploit.
     pub fn shape(&self) -> BlockStructure {
         if self.upper_triangular && self.blocks.active.len() == 1 && self.blocks.keyframes.is_empty() {

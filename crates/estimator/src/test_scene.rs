@@ -4,9 +4,9 @@ use crate::calibration::{CalibratedCamera, Calibration, OnlineCalibration};
 use crate::odometry::tracks::CloneObservation;
 use crate::propagation::{ImuState, MotionEstimate};
 use crate::rolling_shutter::motion_around::MotionAround;
-use crate::state::{ActiveState, CloneId, ClonedPose};
+use crate::state::{ActiveState, Block, CloneId, ClonedPose};
 use geometry::{Camera, Distortion, Pose, rotation};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 use std::sync::Arc;
 
 /// Eight clones on a bow around a landmark, the newest estimates a little off the first ones.
@@ -123,4 +123,17 @@ pub fn rolling_scene(readout_s: f64, agrees: bool) -> Scene {
         observation.pixel += Vector2::new(0.0, 2.0 * (index as f64).sin());
     }
     Scene { state, observations, landmark, sigma_px }
+}
+
+/// How a turn and a translation of L move the clones, at their first estimates: six columns over the whole state.
+pub fn gauge_of_clones(state: &ActiveState) -> DMatrix<f64> {
+    let mut gauge = DMatrix::zeros(state.dim(), 6);
+    for (index, clone) in state.clones.iter().enumerate() {
+        let begin = state.range(Block::Clone(index)).unwrap().start;
+        let position = clone.first_estimate.translation;
+        gauge.fixed_view_mut::<3, 3>(begin, 0).copy_from(&Matrix3::identity());
+        gauge.fixed_view_mut::<3, 3>(begin + 3, 0).copy_from(&-rotation::skew(&position));
+        gauge.fixed_view_mut::<3, 3>(begin + 3, 3).copy_from(&Matrix3::identity());
+    }
+    gauge
 }

@@ -99,21 +99,7 @@ impl GnssMeasurement {
     /// * `covariance`: of the position in G, m^2.
     pub(crate) fn whiten(&self, covariance: &Matrix3<f64>, rows: &mut LinearizedMeasurement) -> bool {
         let in_local = self.local_from_global * covariance * self.local_from_global.transpose();
-        let Some(root) = in_local.cholesky().and_then(|factor| factor.l().try_inverse()) else {
-            return false;
-        };
-        let jacobian = root * self.jacobian;
-        rows.blocks.keyframes.clear();
-        rows.blocks.active.clear();
-        rows.blocks.active.extend(self.blocks.iter().cloned());
-        rows.upper_triangular = false;
-        rows.jacobian.reset(3, COLUMNS);
-        for column in 0..COLUMNS {
-            rows.jacobian.column_mut(column).copy_from_slice(jacobian.column(column).as_slice());
-        }
-        rows.residual.clear();
-        rows.residual.extend((root * self.residual).iter());
-        true
+        rows.set_whitened(&self.blocks, &self.jacobian, &self.residual, in_local)
     }
 }
 
@@ -121,7 +107,7 @@ impl GnssMeasurement {
 mod tests {
     use super::*;
     use crate::covariance::JointCovariance;
-    use crate::test_scene::scene;
+    use crate::test_scene::{gauge_of_clones, scene};
     use geometry::numeric::numeric_jacobian;
     use geometry::{Pose, rotation};
     use nalgebra::{DMatrix, DVector};
@@ -169,14 +155,7 @@ mod tests {
     fn the_gauge_of_the_odometry_frame_gains_no_information() {
         let state = state();
         let found = whole(&state, &measurement(&state, true));
-        let mut gauge = DMatrix::zeros(state.dim(), 6);
-        for (index, clone) in state.clones.iter().enumerate() {
-            let begin = state.range(Block::Clone(index)).unwrap().start;
-            let position = clone.first_estimate.translation;
-            gauge.fixed_view_mut::<3, 3>(begin, 0).copy_from(&Matrix3::identity());
-            gauge.fixed_view_mut::<3, 3>(begin + 3, 0).copy_from(&-skew(&position));
-            gauge.fixed_view_mut::<3, 3>(begin + 3, 3).copy_from(&Matrix3::identity());
-        }
+        let mut gauge = gauge_of_clones(&state);
         let begin = state.range(Block::Transform).unwrap().start;
         gauge.fixed_view_mut::<6, 6>(begin, 0).copy_from(&-nalgebra::Matrix6::identity());
         assert!((&found * &gauge).amax() < 1e-12, "{}", &found * &gauge);

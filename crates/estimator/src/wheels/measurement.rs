@@ -14,7 +14,7 @@ use crate::measurement::LinearizedMeasurement;
 use crate::state::{ActiveState, Block};
 use geometry::Pose;
 use geometry::rotation::{left_jacobian_inverse, log, skew};
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector4};
+use nalgebra::{Matrix2, Matrix3, SMatrix, Vector4};
 use std::ops::Range;
 
 /// Speed to which the noise across the track falls at rest, m/s: a vibrating body is not exactly still.
@@ -155,30 +155,16 @@ impl WheelMeasurement {
             Part::Rolling => (0, &self.rolling),
             Part::OffTrack => (2, &self.off_track),
         };
-        let Some(root) = covariance.cholesky().and_then(|factor| factor.l().try_inverse()) else {
-            return false;
-        };
-        let residual: SVector<f64, 2> = root * self.residual.fixed_rows::<2>(begin);
-        let jacobian: SMatrix<f64, 2, COLUMNS> = root * self.jacobian.fixed_rows::<2>(begin);
-        rows.blocks.keyframes.clear();
-        rows.blocks.active.clear();
-        rows.blocks.active.extend(self.blocks.iter().cloned());
-        rows.upper_triangular = false;
-        let columns = rows.blocks.active_len();
-        rows.jacobian.reset(2, columns);
-        for column in 0..columns {
-            rows.jacobian.column_mut(column).copy_from_slice(jacobian.column(column).as_slice());
-        }
-        rows.residual.clear();
-        rows.residual.extend(residual.iter());
-        true
+        let jacobian = self.jacobian.fixed_rows::<2>(begin).into_owned();
+        let residual = self.residual.fixed_rows::<2>(begin).into_owned();
+        rows.set_whitened(&self.blocks, &jacobian, &residual, *covariance)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_scene::scene;
+    use crate::test_scene::{gauge_of_clones, scene};
     use crate::wheels::buffer::WheelInterval;
     use crate::wheels::config::WheelConfig;
     use crate::wheels::preintegration::preintegrate;
@@ -254,14 +240,7 @@ mod tests {
     fn the_gauge_of_the_odometry_frame_gains_no_information() {
         let state = state(false);
         let found = whole(&state, &measurement(&state, true));
-        let mut gauge = DMatrix::zeros(state.dim(), 6);
-        for (index, clone) in state.clones.iter().enumerate() {
-            let begin = state.range(Block::Clone(index)).unwrap().start;
-            let position = clone.first_estimate.translation;
-            gauge.fixed_view_mut::<3, 3>(begin, 0).copy_from(&Matrix3::identity());
-            gauge.fixed_view_mut::<3, 3>(begin + 3, 0).copy_from(&-skew(&position));
-            gauge.fixed_view_mut::<3, 3>(begin + 3, 3).copy_from(&Matrix3::identity());
-        }
+        let gauge = gauge_of_clones(&state);
         assert!((found * gauge).amax() < 1e-12);
     }
 
