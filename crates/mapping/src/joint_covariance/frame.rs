@@ -5,10 +5,11 @@
 //! places in it, takes it as a whole. The S-transformation states the errors so:
 //! ```text
 //! e' = (I - A M) e          M e: yaw and translation that align the erroneous positions with the true ones best
-//! P' = (I - A M) P (I - A M)^T + A G A^T
+//! P' = (I - A M) P (I - A M)^T + A G A^T + sigma_s^2 s s^T
 //! ```
-//! with `A` the errors that a yaw about the centre, and a translation, of the map are, and `G` the small covariance of the definition.
-//! Distances between keyframes are as uncertain as before.
+//! with `A` the errors that a yaw about the centre, and a translation, of the map are, `G` the small covariance of the definition,
+//! and `s` the errors that a scale of one is: the positions from the centre. What the adjustment states of the scale, `sigma_s`
+//! comes on top: each measurement of a length has the same error of the baseline or of the accelerometer, however many there are.
 //!
 //! Source: Baarda, "S-transformations and criterion matrices", 1973.
 
@@ -22,6 +23,9 @@ type Alignment = SMatrix<f64, 4, 6>;
 /// Least mean distance of the keyframes from their centre, m: nearer ones show the yaw by their rotations.
 const LEAST_RADIUS_M: f64 = 0.1;
 
+/// What all lengths of a map may be wrong by in common, as a share: as well as baselines and accelerometers are calibrated.
+const SCALE_SIGMA: f64 = 1e-3;
+
 /// Blocks of `P`, column by column, relative to the map as a whole.
 pub(super) struct WholeMapFrame<F> {
     column: F,
@@ -31,6 +35,8 @@ pub(super) struct WholeMapFrame<F> {
     aligned: Vec<Alignment>,
     /// `M P M^T + G`.
     own: Matrix4<f64>,
+    /// `sigma_s s` of each pose (m): errors of its position.
+    scaled: Vec<Vector3<f64>>,
 }
 
 impl<F: Fn(usize) -> Vec<Matrix6<f64>> + Sync> WholeMapFrame<F> {
@@ -60,19 +66,23 @@ impl<F: Fn(usize) -> Vec<Matrix6<f64>> + Sync> WholeMapFrame<F> {
             own += sum * alignments[aligned.len()].transpose();
             aligned.push(sum);
         });
-        Self { column, shifts, aligned, own }
+        let scaled = positions.iter().map(|position| SCALE_SIGMA * (position - centre)).collect();
+        Self { column, shifts, aligned, own, scaled }
     }
 
     /// `P'_:j`, a block for each pose.
     pub(super) fn column(&self, j: usize) -> Vec<Matrix6<f64>> {
         let of_column = &self.aligned[j];
         let rest = self.own * self.shifts[j].transpose() - of_column;
-        let rows = self.shifts.iter().zip(&self.aligned);
+        let rows = self.shifts.iter().zip(&self.aligned).zip(&self.scaled);
         (self.column)(j)
             .iter()
             .zip(rows)
-            .map(|(block, (shift, of_row))| {
-                block + shift * rest - of_row.transpose() * self.shifts[j].transpose()
+            .map(|(block, ((shift, of_row), scaled))| {
+                let mut block = block + shift * rest - of_row.transpose() * self.shifts[j].transpose();
+                let mut positions = block.fixed_view_mut::<3, 3>(3, 3);
+                positions += scaled * self.scaled[j].transpose();
+                block
             })
             .collect()
     }
@@ -146,6 +156,14 @@ mod tests {
         let definition = DMatrix::from_column_slice(4, 4, gauge_covariance().as_slice());
         let expected =
             &project * &covariance * project.transpose() + &shifts * definition * shifts.transpose();
+        // A map that is larger than the place by a share has these errors, and is aligned as it is.
+        let centre = positions.iter().sum::<Vector3<f64>>() / COUNT as f64;
+        let scale = DMatrix::from_fn(6 * COUNT, 1, |row, _| match row % 6 {
+            ..3 => 0.0,
+            axis => (positions[row / 6] - centre)[axis - 3],
+        });
+        assert!((&alignment * &scale).amax() < 1e-12 * scale.amax());
+        let expected = expected + SCALE_SIGMA * SCALE_SIGMA * &scale * scale.transpose();
         let found = transformed(&positions, &covariance);
         assert!((&found - &expected).amax() < 1e-12 * expected.amax());
         assert!((&found - found.transpose()).amax() < 1e-12 * expected.amax());
