@@ -38,7 +38,7 @@ demo:
     DEMO_OUT="{{ justfile_directory() }}/target/ci-demo" \
         cargo test --profile {{ profile }} --locked --workspace --test main -- --include-ignored --nocapture demo::
 
-# Tests on recorded runs; says so where the recordings are not unpacked
+# Tests on recorded runs but those that take minutes; says so where the recordings are not unpacked
 recorded:
     #!/usr/bin/env bash
     set -euo pipefail
@@ -46,7 +46,7 @@ recorded:
         echo "SKIPPED: the recorded runs are not unpacked in {{ data }}; their tests were not run"
         exit 0
     fi
-    cargo test --profile {{ profile }} --locked --workspace --test main -- --ignored recorded:: images:: --skip images::learned
+    cargo test --profile {{ profile }} --locked --workspace --test main -- --ignored recorded:: images:: --skip images::learned --skip recorded::long
 
 # The Python client against a map server and a robot; says so where its packages cannot be installed
 python:

@@ -217,10 +217,14 @@ fn assert_unharmed(quiet: &Outcome, robots: &[Outcome], ratio: f64, nees: f64) {
 
 #[test]
 fn robots_drive_on_while_the_network_fails() {
-    let scenario = MappedScenario::of(&SimulationOptions { seed: 3, ..SimulationOptions::default() });
+    let scenario = MappedScenario::of(&SimulationOptions {
+        seed: 3,
+        duration_s: Some(60.0),
+        ..SimulationOptions::default()
+    });
     let (live, map) = (&scenario.recordings.live, scenario.loaded());
     let robots = through_chaos(live, &map, 3, 1);
-    // A minute and a half, of which an outage takes a larger part than of a long drive.
+    // A minute, of which an outage takes a larger part than of a long drive.
     assert_unharmed(&undisturbed(live, &map), &robots, 3.0, 2.0);
 }
 

@@ -1,7 +1,7 @@
 //! Real images, with the bounds that the system must keep on them.
 //!
 //! The recordings are not part of the repository. Where they are unpacked to `target/data`, run these tests as those of
-//! `recorded.rs`, with `--ignored`; without a recording its test fails and names it. The test of XFeat also needs
+//! `recorded`, with `--ignored`; without a recording its test fails and names it. The test of XFeat also needs
 //! `--features neural` and the weights (`driftless weights xfeat`).
 
 use evaluation::{Alignment, align};

@@ -9,7 +9,7 @@ use simulation::monte_carlo::{
 };
 
 /// Seeds of every run, and of the nightly one.
-const RUNS: usize = 6;
+const RUNS: usize = 4;
 const ALL_RUNS: usize = 20;
 /// Of these, those in which GNSS must not be worse.
 const MOST_RUNS: usize = 19;

@@ -87,7 +87,7 @@ fn a_new_version_five_metres_away_is_doubted() {
 
 #[test]
 fn an_honest_map_raises_no_alarm() {
-    honest_maps(8, Tracks::Few);
+    honest_maps(4, Tracks::Few);
 }
 
 #[test]

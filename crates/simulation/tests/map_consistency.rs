@@ -47,7 +47,7 @@ fn loops(speed: f64, duration_s: f64, tracks: Tracks) -> SimulationOptions {
 }
 
 /// Seeds of every run of the tests; the nightly ones have [`ALL_SEEDS`].
-const SEEDS: usize = 16;
+const SEEDS: usize = 8;
 const ALL_SEEDS: usize = 40;
 
 fn all_three_poses(runs: usize, tracks: Tracks) {
@@ -68,17 +68,17 @@ fn nees_of_all_three_poses_is_as_stated_with_all_seeds() {
 
 #[test]
 fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
-    map_initialization_is_as_stated(Tracks::Few);
+    map_initialization_is_as_stated(2 * SEEDS, Tracks::Few);
 }
 
 #[test]
-#[ignore = "all tracks, minutes"]
-fn a_map_initialization_is_as_uncertain_as_stated_with_all_tracks() {
-    map_initialization_is_as_stated(Tracks::All);
+#[ignore = "all seeds, minutes"]
+fn a_map_initialization_is_as_uncertain_as_stated_with_all_seeds() {
+    map_initialization_is_as_stated(ALL_SEEDS, Tracks::All);
 }
 
 /// One or two answers a run: only many runs show it.
-fn map_initialization_is_as_stated(tracks: Tracks) {
+fn map_initialization_is_as_stated(runs: usize, tracks: Tracks) {
     let simulation = SimulationOptions {
         max_tracks: tracks.max(),
         duration_s: Some(60.0),
@@ -86,7 +86,7 @@ fn map_initialization_is_as_stated(tracks: Tracks) {
     };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
-    is_as_stated(ensemble(ALL_SEEDS, 2, simulation, answers));
+    is_as_stated(ensemble(runs, 2, simulation, answers));
 }
 
 fn is_as_stated(score: EnsembleScore) {
@@ -105,7 +105,7 @@ fn is_as_stated(score: EnsembleScore) {
 
 #[test]
 fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
-    wrong_places_move_nothing(9, 500);
+    wrong_places_move_nothing(5, 250);
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn after_a_kilometre(runs: usize, tracks: Tracks) {
 
 #[test]
 fn after_a_kilometre_without_the_map_three_answers_are_enough() {
-    after_a_kilometre(4, Tracks::Few);
+    after_a_kilometre(3, Tracks::Few);
 }
 
 #[test]

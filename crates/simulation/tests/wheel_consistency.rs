@@ -11,7 +11,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Seeds of every run, and of the nightly one.
-const RUNS: usize = 6;
+const RUNS: usize = 4;
 const ALL_RUNS: usize = 20;
 /// Of these, those in which wheels must not be worse.
 const MOST_RUNS: usize = 19;
