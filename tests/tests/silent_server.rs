@@ -21,7 +21,7 @@ const BACK: i64 = 10_000_000_000;
 
 #[test]
 fn a_robot_asks_again_soon_after_its_server_recovered() {
-    let simulation = SimulationOptions { seed: 3, duration_s: Some(40.0), ..SimulationOptions::default() };
+    let simulation = SimulationOptions { seed: 3, duration_s: Some(26.0), ..SimulationOptions::default() };
     let scenario = MappedScenario::of(&simulation);
     let (live, map) = (&scenario.recordings.live, scenario.loaded());
     let runtime = runtime();

@@ -28,6 +28,7 @@ fn rms_error_m(trial: &simulation::monte_carlo::Trial) -> f64 {
 
 mod gnss_consistency;
 mod lying_map;
+mod map_change_consistency;
 mod map_consistency;
 mod odometry_consistency;
 mod rendered_flights;

@@ -74,6 +74,8 @@ fn rescued(runs: usize) {
         }
     }
     assert!(never.is_empty(), "{} of {all} not within six answers: {never:?}", never.len());
-    assert!(late.len() * 100 <= all, "{} of {all} not within five answers: {late:?}", late.len());
-    assert!(trusted.len() * 100 <= all, "wrong for 3 s while localized: {trusted:?}");
+    // One in a hundred, and one of few.
+    let few = (all / 100).max(1);
+    assert!(late.len() <= few, "{} of {all} not within five answers: {late:?}", late.len());
+    assert!(trusted.len() <= few, "wrong for 3 s while localized: {trusted:?}");
 }

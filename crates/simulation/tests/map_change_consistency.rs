@@ -1,0 +1,71 @@
+//! Consistency of the pose in G behind a change of the served map, over Monte-Carlo runs.
+
+use estimator::EstimatorConfig;
+use evaluation::Verdict;
+use simulation::monte_carlo::score::{OutputScore, ScoreOptions, score};
+use simulation::monte_carlo::{AnswerOptions, MapChangeOptions, MonteCarloOptions, Variant, run};
+use simulation::{Scenario, SimulationOptions};
+
+use crate::Tracks;
+
+/// Runs of 20 s of which the last 8 are scored: the map changed just before, by 0.3 m and 1.7 degrees an axis.
+fn pose_after_a_change(
+    runs: usize,
+    tracks: Tracks,
+    new_errors: bool,
+    is_stated: bool,
+) -> (OutputScore, usize) {
+    let change =
+        MapChangeOptions { at_s: 12.0, sigma_theta_rad: 0.03, sigma_p_m: 0.3, new_errors, is_stated };
+    let options = MonteCarloOptions {
+        runs,
+        simulation: SimulationOptions {
+            scenario: Scenario::Loops,
+            speed: 3.0,
+            max_tracks: tracks.max(),
+            duration_s: Some(20.0),
+            live_feature_period_s: 1e9,
+            ..SimulationOptions::default()
+        },
+        answers: AnswerOptions { every_s: 2.0, ..AnswerOptions::default() },
+        map_change: Some(change),
+        ..MonteCarloOptions::default()
+    };
+    let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras: 2 };
+    let all = run(&options, &[variant], |_| {}).unwrap().remove(0);
+    let score = score(&all, &ScoreOptions { skip_after_initialization_s: 0.0, ..ScoreOptions::default() });
+    assert_eq!((score.runs, score.diverged, score.not_localized), (runs, 0, 0));
+    let pose = score.pose.unwrap();
+    for (part, nees) in [("rotation", &pose.rotation), ("position", &pose.position), ("pose", &pose.pose)] {
+        println!(
+            "new errors {new_errors}, stated {is_stated}, {part}: {:.2}, {:.2?}",
+            nees.mean, nees.interval
+        );
+    }
+    println!("{:.3} m, {:.3} deg, {:?}", pose.rmse_m, pose.rmse_deg, score.map);
+    (pose, score.map.jumps)
+}
+
+#[test]
+fn nees_in_g_is_as_stated_behind_a_change_that_is_stated_and_above_it_without() {
+    is_as_stated_behind_a_change(12, Tracks::Few);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn nees_in_g_is_as_stated_behind_a_change_with_all_seeds() {
+    is_as_stated_behind_a_change(30, Tracks::All);
+}
+
+fn is_as_stated_behind_a_change(runs: usize, tracks: Tracks) {
+    for new_errors in [true, false] {
+        let (pose, jumps) = pose_after_a_change(runs, tracks, new_errors, true);
+        for nees in [&pose.rotation, &pose.position, &pose.pose] {
+            assert!(matches!(nees.verdict, Verdict::Inside | Verdict::Near), "{nees:?}");
+        }
+        assert_eq!(jumps, 0);
+        // Without the process noise the same runs are overconfident.
+        let (pose, _) = pose_after_a_change(runs, tracks, new_errors, false);
+        assert_eq!(pose.pose.verdict, Verdict::Overconfident, "{:?}", pose.pose);
+    }
+}
