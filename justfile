@@ -61,9 +61,9 @@ python:
     DRIFTLESS_PROGRAMS="{{ justfile_directory() }}/target/{{ if profile == "dev" { "debug" } else { profile } }}" \
         "$venv/bin/python" -m pytest -q python/tests
 
-# All tests; those on recorded runs are listed as ignored
+# All tests; those on recorded runs are listed as ignored. Tests that wait run beside those that compute.
 test:
-    cargo test --workspace --locked
+    RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((2 * {{ num_cpus() }}))}" cargo test --workspace --locked
 
 # Every test there is, those that take minutes too, except measurements and those that need something that is not here
 nightly: ci clippy-slim

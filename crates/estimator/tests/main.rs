@@ -5,6 +5,7 @@ mod allocations;
 mod bad_measurements;
 mod common;
 mod filter_laws;
+mod first_fix;
 mod gtsam;
 mod initializer;
 mod map_change;

@@ -72,14 +72,18 @@ impl Estimator {
         });
     }
 
-    /// What the inliers of an answer show.
+    /// What the inliers of an answer show. The answer's odds are those of the pose at which the server counted its matches: where the
+    /// pose that was verified here explains only a minority of them, it is another one, and the odds do not speak for it.
     pub(super) fn seen_place(&self, answer: &MapAnswer, verified: &VerifiedAnswer) -> SeenPlace {
         let in_global = |&k: &usize| {
             let landmark = &answer.landmarks[k];
             Some(self.pose_of(landmark.anchor, answer)?.transform(&landmark.position_in_anchor))
         };
         let landmarks: Vec<_> = verified.inliers.iter().filter_map(in_global).collect();
-        SeenPlace::of(&landmarks, answer.log_odds - answer.log_prior_odds, answer.log_prior_odds)
+        let log_ratio = answer.log_odds - answer.log_prior_odds;
+        let is_minority = 2 * verified.inliers.len() < answer.landmarks.len();
+        let log_ratio = if is_minority { log_ratio.min(0.0) } else { log_ratio };
+        SeenPlace::of(&landmarks, log_ratio, answer.log_prior_odds)
     }
 
     /// An answer agrees with the state, and is evidence for it.
