@@ -1,4 +1,4 @@
-//! Times the tracker and the classical features on recorded images, one thread, without reading them:
+//! Times the tracker and the features on recorded images, one thread, without reading them:
 //! `cargo bench -p driftless-benches --bench tracker`.
 //!
 //! Takes a folder of images as an argument; without one, EuRoC's `mh_01_handheld_16s` where `target/data` has it.
@@ -7,10 +7,10 @@
 use geometry::{Camera, Distortion};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use vision::features::classical::SiftExtractor;
+use vision::features::open;
 use vision::tracking::{Tracker, TrackerFrame, TrackerOptions};
 use vision::{
-    CornerOptions, Equalization, FeatureExtractor, GrayImage, LocalEqualization, Pyramid, detect_corners,
+    CornerOptions, Equalization, GrayImage, LocalEqualization, Pyramid, detect_corners,
 };
 
 /// Images held in memory at once.
@@ -60,10 +60,12 @@ fn main() {
         });
     }
     let some: Vec<GrayImage> = images.iter().step_by(FEATURE_STRIDE).cloned().collect();
-    let mut extractor = SiftExtractor::default();
-    time("sift-1", &some, |image| {
-        extractor.extract(image, None, MAX_FEATURES).map_or(0, |features| features.keypoints.len())
-    });
+    for name in ["sift-1", "edgepoint2-1"] {
+        let Ok(mut extractor) = open(name, None) else { return };
+        time(name, &some, |image| {
+            extractor.extract(image, None, MAX_FEATURES).map_or(0, |features| features.keypoints.len())
+        });
+    }
 }
 
 /// Runs something on every image and prints the median of its time and of its result.

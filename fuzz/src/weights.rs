@@ -1,6 +1,6 @@
 //! Weights of networks.
 
-use vision::features::neural::state_dict::StateDict;
+use vision::features::StateDict;
 
 /// XFeat's weights, as safetensors.
 pub fn weights(data: &[u8]) {

@@ -8,9 +8,12 @@ mod descriptors;
 mod fast_distances;
 mod image_preparation;
 mod inverted_file;
+mod learned;
 mod lucas_kanade;
 mod matching;
 #[cfg(feature = "neural")]
 mod neural;
 mod outliers;
+mod reference;
 mod tracker;
+mod weights_file;

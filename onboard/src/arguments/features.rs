@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result, bail};
 use std::path::PathBuf;
-use vision::features::{DEFAULT_EXTRACTOR, open};
+use vision::features::{DEFAULT_EXTRACTOR, open, uses_one_thread};
 use vision::{FeatureExtractor, GrayImage};
 
 /// Heading of these switches in `--help`.
@@ -14,7 +14,7 @@ const MAX_EXTRACTORS: usize = 8;
 /// Which features of images are matched with the map's.
 #[derive(clap::Args, Clone, Debug)]
 pub struct FeatureArguments {
-    /// Extractor of features for place recognition: sift-1, or a learned one (see `driftless weights`)
+    /// Extractor of features for place recognition: sift-1, edgepoint2-1 (learned), or one with weights to fetch (see `driftless weights`)
     #[arg(long, value_name = "NAME", default_value = DEFAULT_EXTRACTOR, help_heading = HEADING)]
     pub extractor: String,
     /// Folder with the weights of learned extractors [default: where `driftless weights` puts them]
@@ -52,13 +52,13 @@ impl FeatureArguments {
         open(&self.extractor, self.weights.as_deref()).context("--extractor")
     }
 
-    /// Opens one extractor for each processor; only one where the extractor is a network, which uses all processors itself.
+    /// Opens one extractor for each processor; only one where an extractor uses all processors itself.
     ///
     /// # Errors
     /// As [`FeatureArguments::open`].
     pub fn open_several(&self) -> Result<Vec<Box<dyn FeatureExtractor>>> {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        let count = if self.extractor == DEFAULT_EXTRACTOR { processors.min(MAX_EXTRACTORS) } else { 1 };
+        let count = if uses_one_thread(&self.extractor) { processors.min(MAX_EXTRACTORS) } else { 1 };
         (0..count).map(|_| self.open()).collect()
     }
 

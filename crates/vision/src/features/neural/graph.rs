@@ -3,47 +3,14 @@
 //! Tensors are named; batch and channels come first (`[1, channels, rows, columns]`). An ONNX file is a protocol-buffer
 //! message; the field numbers are those of `onnx.proto` (IR version 8, operator set 13).
 
+pub use crate::features::layers::Convolution;
+
 /// ONNX's IR version: 8 came with operator set 15, and every runtime reads it.
 const IR_VERSION: u64 = 8;
 /// Version of the operator set.
 const OPERATOR_SET: u64 = 13;
 /// `TensorProto.DataType.FLOAT`.
 const FLOAT: u64 = 1;
-
-/// Parameters of a convolution.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Convolution {
-    /// `[output channels, input channels, rows, columns]` of the kernel.
-    pub shape: [usize; 4],
-    /// The kernel.
-    pub weights: Vec<f32>,
-    /// One number per output channel.
-    pub bias: Vec<f32>,
-    /// Stride in both directions, pixels.
-    pub stride: usize,
-    /// Zero padding on every side, pixels.
-    pub padding: usize,
-}
-
-impl Convolution {
-    /// Folds a batch normalization with fixed mean and variance of each output channel into the convolution.
-    ///
-    /// # Panics
-    /// If the number of means or variances is not the number of output channels.
-    pub fn normalized(mut self, mean: &[f32], variance: &[f32], epsilon: f32) -> Self {
-        let [outputs, ..] = self.shape;
-        assert!(mean.len() == outputs && variance.len() == outputs, "one mean and variance per channel");
-        let kernel = self.weights.len() / outputs;
-        for channel in 0..outputs {
-            let scale = (variance[channel] + epsilon).sqrt().recip();
-            self.bias[channel] = (self.bias[channel] - mean[channel]) * scale;
-            for weight in &mut self.weights[channel * kernel..(channel + 1) * kernel] {
-                *weight *= scale;
-            }
-        }
-        self
-    }
-}
 
 /// A network under construction.
 #[derive(Default)]

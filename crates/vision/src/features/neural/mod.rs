@@ -4,10 +4,7 @@
 //! |---|---|
 //! | [`xfeat`], [`r2d2`] | the extractors |
 //! | [`network`] | inference engines |
-//! | [`state_dict`] | weights by name, from safetensors files |
 //! | [`graph`] | writes a network as an ONNX file in memory |
-//! | [`quantize`](mod@quantize) | descriptors as signed bytes |
-//! | [`tensor`] | shape and numbers |
 //!
 //! # Engines
 //! XFeat at 736 x 480 in one thread, AVX-512, on a machine with other load (22 interleaved runs each; the minimum is
@@ -61,19 +58,13 @@
 mod dense_maps;
 pub mod graph;
 pub mod network;
-pub mod quantize;
 pub mod r2d2;
-mod selection;
-pub mod state_dict;
-pub mod tensor;
 mod weights;
 pub mod xfeat;
 mod xfeat_network;
 
 pub use network::{Engine, Network, NetworkError};
 pub use r2d2::R2d2Extractor;
-pub use state_dict::{StateDict, StateDictError};
-pub use tensor::Tensor;
 pub use weights::{WeightsError, sha256};
 pub use xfeat::XfeatExtractor;
 pub use xfeat_network::write as write_xfeat;

@@ -26,11 +26,11 @@
 
 use super::dense_maps::{Descriptors, Heatmap};
 use super::network::{Engine, Network, NetworkError};
-use super::quantize::quantize;
-use super::selection::select_best;
-use super::tensor::Tensor;
 use super::weights::{self, WeightsError};
 use crate::features::extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
+use crate::features::quantize::quantize;
+use crate::features::selection::select_best;
+use crate::features::tensor::Tensor;
 use crate::features::weights::R2D2;
 use crate::image::GrayImage;
 use crate::matching::Metric;

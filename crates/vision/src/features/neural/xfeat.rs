@@ -9,13 +9,13 @@
 
 use super::dense_maps::{Descriptors, Heatmap};
 use super::network::{Engine, Network, NetworkError};
-use super::quantize::quantize;
-use super::selection::select_best;
-use super::state_dict::StateDict;
-use super::tensor::Tensor;
 use super::weights::{self, WeightsError};
 use super::xfeat_network::{self, CELL, DIMENSION, INPUT, KEYPOINT_CHANNELS, MULTIPLE, OUTPUTS};
 use crate::features::extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
+use crate::features::quantize::quantize;
+use crate::features::selection::select_best;
+use crate::features::state_dict::StateDict;
+use crate::features::tensor::Tensor;
 use crate::features::weights::XFEAT;
 use crate::image::GrayImage;
 use crate::matching::Metric;

@@ -18,7 +18,7 @@
 //! CVPR 2024.
 
 use super::graph::{Convolution, Graph};
-use super::state_dict::{StateDict, StateDictError};
+use crate::features::state_dict::{StateDict, StateDictError};
 
 /// Columns and rows of the image must be multiples of this.
 pub(super) const MULTIPLE: usize = 32;

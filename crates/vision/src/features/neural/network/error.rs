@@ -1,6 +1,6 @@
 //! Why a network cannot be loaded or run.
 
-use super::super::state_dict::StateDictError;
+use crate::features::state_dict::StateDictError;
 
 /// An error of an inference engine.
 pub type EngineError = Box<dyn std::error::Error + Send + Sync>;

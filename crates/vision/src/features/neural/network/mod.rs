@@ -9,7 +9,7 @@ mod rten;
 
 pub use error::{EngineError, NetworkError};
 
-use super::tensor::Tensor;
+use crate::features::tensor::Tensor;
 
 /// An inference engine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

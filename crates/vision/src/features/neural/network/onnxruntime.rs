@@ -1,7 +1,7 @@
 //! Networks run by ONNX Runtime, whose shared library is searched when the first network is loaded.
 
-use super::super::tensor::Tensor;
 use super::error::NetworkError;
+use crate::features::tensor::Tensor;
 use crate::features::weights;
 use ort::environment::Environment;
 use std::path::PathBuf;

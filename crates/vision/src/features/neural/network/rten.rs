@@ -1,7 +1,7 @@
 //! Networks run by the crate `rten`.
 
-use super::super::tensor::Tensor;
 use super::error::NetworkError;
+use crate::features::tensor::Tensor;
 use rten::{Model, ModelOptions, NodeId, RunOptions, ThreadPool};
 use rten_tensor::prelude::*;
 use rten_tensor::{NdTensor, Tensor as RtenTensor};

@@ -10,14 +10,14 @@ use std::collections::BTreeMap;
 ///
 /// # Example
 /// ```
-/// use vision::features::neural::StateDict;
+/// use vision::features::StateDict;
 ///
 /// let header = br#"{"bias":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}"#;
 /// let numbers = [0.5_f32, -1.0].into_iter().flat_map(f32::to_le_bytes);
 /// let file: Vec<u8> =
 ///     (header.len() as u64).to_le_bytes().into_iter().chain(*header).chain(numbers).collect();
 /// assert_eq!(StateDict::read(&file)?.get("bias", &[2])?, [0.5, -1.0]);
-/// # Ok::<(), vision::features::neural::StateDictError>(())
+/// # Ok::<(), vision::features::StateDictError>(())
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StateDict {
@@ -44,6 +44,16 @@ pub enum StateDictError {
         /// The shape that the network needs.
         needed: Vec<usize>,
     },
+    /// A tensor has the wrong number of axes.
+    #[error("tensor {name} has the shape {found:?}; the network needs {needed} axes")]
+    Axes {
+        /// Name of the tensor.
+        name: String,
+        /// Its shape.
+        found: Vec<usize>,
+        /// The number of axes that the network needs.
+        needed: usize,
+    },
     /// A tensor holds NaN or infinity.
     #[error("tensor {0} holds numbers that are not finite")]
     NotFinite(String),
@@ -61,6 +71,19 @@ impl StateDict {
             (name.to_owned(), Tensor { shape: view.shape().to_vec(), data: data.collect() })
         });
         Ok(Self { tensors: tensors.collect() })
+    }
+
+    /// The shape of a tensor with a given number of axes.
+    ///
+    /// # Errors
+    /// [`StateDictError::Missing`], [`StateDictError::Axes`].
+    pub fn shape<const AXES: usize>(&self, name: &str) -> Result<[usize; AXES], StateDictError> {
+        let tensor = self.tensors.get(name).ok_or_else(|| StateDictError::Missing(name.to_owned()))?;
+        let wrong = |_| {
+            let found = tensor.shape.clone();
+            StateDictError::Axes { name: name.to_owned(), found, needed: AXES }
+        };
+        tensor.shape.as_slice().try_into().map_err(wrong)
     }
 
     /// The numbers of a tensor of a given shape, row-major.

@@ -1,6 +1,6 @@
 //! Writes safetensors files.
 
-use super::reference::Tensors;
+use crate::reference::Tensors;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
