@@ -55,20 +55,20 @@ impl Map {
         shape: &[usize],
         weights: &[f32],
         bias: &[f32],
-        stride: usize,
-        padding: usize,
+        [stride, padding, dilation]: [usize; 3],
     ) -> Self {
         let &[outputs, inputs, height, width] = shape else { panic!("shape {shape:?}") };
         assert_eq!(inputs, self.channels);
-        let rows = (self.rows + 2 * padding - height) / stride + 1;
-        let columns = (self.columns + 2 * padding - width) / stride + 1;
+        let size =
+            |size: usize, kernel: usize| (size + 2 * padding - (kernel - 1) * dilation - 1) / stride + 1;
+        let (rows, columns) = (size(self.rows, height), size(self.columns, width));
         Self::from_fn(outputs, rows, columns, |o, y, x| {
             let mut sum = 0.0_f64;
             for c in 0..inputs {
                 for j in 0..height {
                     for i in 0..width {
-                        let row = (y * stride + j) as isize - padding as isize;
-                        let column = (x * stride + i) as isize - padding as isize;
+                        let row = (y * stride + j * dilation) as isize - padding as isize;
+                        let column = (x * stride + i * dilation) as isize - padding as isize;
                         let weight = weights[((o * inputs + c) * height + j) * width + i];
                         sum += f64::from(weight) * f64::from(self.padded(c, row, column));
                     }
@@ -107,11 +107,12 @@ impl Map {
         })
     }
 
-    /// Each square of pixels as channels.
-    #[cfg(feature = "neural")]
-    pub fn unfold(&self, side: usize) -> Self {
-        Self::from_fn(side * side, self.rows / side, self.columns / side, |c, y, x| {
-            self.get(0, y * side + c / side, x * side + c % side)
+    /// The pixels of each square of each channel as channels.
+    pub fn split(&self, side: usize) -> Self {
+        let channels = self.channels * side * side;
+        Self::from_fn(channels, self.rows / side, self.columns / side, |c, y, x| {
+            let (channel, pixel) = (c / (side * side), c % (side * side));
+            self.get(channel, y * side + pixel / side, x * side + pixel % side)
         })
     }
 }

@@ -4,12 +4,23 @@ use crate::reference::Map as Plain;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng as _, rngs::Xoshiro256PlusPlus};
 use vision::features::layers::product::Matrix;
-use vision::features::layers::resampling::{add_enlarged, average};
+use vision::features::layers::resampling::{add_enlarged, average, split};
 use vision::features::layers::{Convolution, Layer, Map};
 
-/// Kernel size, stride and padding.
-const KINDS: [(usize, usize, usize); 8] =
-    [(1, 1, 0), (3, 1, 1), (3, 2, 1), (4, 2, 1), (2, 2, 0), (4, 4, 0), (8, 8, 0), (1, 2, 0)];
+/// Kernel size, stride, padding and dilation.
+const KINDS: [[usize; 4]; 11] = [
+    [1, 1, 0, 1],
+    [3, 1, 1, 1],
+    [3, 2, 1, 1],
+    [4, 2, 1, 1],
+    [2, 2, 0, 1],
+    [4, 4, 0, 1],
+    [8, 8, 0, 1],
+    [1, 2, 0, 1],
+    [3, 1, 2, 2],
+    [3, 1, 4, 4],
+    [2, 1, 8, 16],
+];
 
 fn random(count: usize, seed: u64) -> Vec<f32> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
@@ -22,12 +33,13 @@ fn plain(channels: usize, rows: usize, columns: usize, seed: u64) -> Plain {
 
 /// As a map whose channels are the phases of each channel.
 fn phases(plain: &Plain, stride: usize) -> Map {
-    let (rows, columns) = (plain.rows / stride, plain.columns / stride);
-    let mut map = Map::zeros(plain.channels * stride * stride, rows, columns);
-    for channel in 0..plain.channels {
-        for (y, x) in (0..plain.rows).flat_map(|y| (0..plain.columns).map(move |x| (y, x))) {
-            let phase = Layer::phase(stride, channel, [x % stride, y % stride]);
-            map.row_mut(phase, y / stride)[x / stride] = plain.get(channel, y, x);
+    let split = plain.split(stride);
+    let mut map = Map::zeros(split.channels, split.rows, split.columns);
+    for channel in 0..split.channels {
+        for y in 0..split.rows {
+            for (x, number) in map.row_mut(channel, y).iter_mut().enumerate() {
+                *number = split.get(channel, y, x);
+            }
         }
     }
     map
@@ -54,20 +66,20 @@ proptest! {
         kind in 0..KINDS.len(), inputs in 1..7_usize, outputs in 1..11_usize,
         rows in 1..7_usize, columns in 1..60_usize, relu: bool, adds: bool, seed: u64,
     ) {
-        let (side, stride, padding) = KINDS[kind];
+        let [side, stride, padding, dilation] = KINDS[kind];
         let shape = [outputs, inputs, side, side];
         let weights = random(shape.iter().product(), seed ^ 1);
         let bias = random(outputs, seed ^ 2);
         let input = plain(inputs, rows * stride, columns * stride, seed);
         let added = plain(outputs, rows, columns, seed ^ 3);
-        let mut expected = input.convolve(&shape, &weights, &bias, stride, padding);
+        let mut expected = input.convolve(&shape, &weights, &bias, [stride, padding, dilation]);
         if adds {
             expected = expected.add(&added);
         }
         if relu {
             expected = expected.map(|number| number.max(0.0));
         }
-        let layer = Layer::new(&Convolution { shape, weights, bias, stride, padding });
+        let layer = Layer::new(&Convolution { shape, weights, bias, stride, padding, dilation });
         let added = phases(&added, 1);
         // What was in the output before, of this or another shape, does not matter.
         let mut output = phases(&plain(outputs, rows, columns + usize::from(adds), seed), 1);
@@ -78,8 +90,8 @@ proptest! {
         // Its border is zero, so that it can be the input of the next layer.
         let next = [1, outputs, 3, 3];
         let weights = random(next.iter().product(), seed ^ 4);
-        let expected = expected.convolve(&next, &weights, &[0.0], 1, 1);
-        let layer = Layer::new(&Convolution { shape: next, weights, bias: vec![0.0], stride: 1, padding: 1 });
+        let expected = expected.convolve(&next, &weights, &[0.0], [1, 1, 1]);
+        let layer = Layer::new(&Convolution::same(next, weights, vec![0.0]));
         let mut last = Map::default();
         layer.run(&output, None, false, &mut last);
         assert_equal(&last, &expected, 1e-4 * (inputs * side * side) as f32);
@@ -95,9 +107,9 @@ proptest! {
         let variance: Vec<f32> = random(outputs, seed ^ 6).iter().map(|number| number + 1.1).collect();
         let input = plain(inputs, 5, 9, seed);
         let normalized =
-            input.convolve(&shape, &weights, &bias, 1, 1).normalize(&mean, &variance, 1e-5);
+            input.convolve(&shape, &weights, &bias, [1, 1, 1]).normalize(&mean, &variance, 1e-5);
         let expected = Plain::from_fn(outputs, 5, 9, |c, y, x| normalized.get(c, y, x) * factors[c] + offsets[c]);
-        let convolution = Convolution { shape, weights, bias, stride: 1, padding: 1 };
+        let convolution = Convolution::same(shape, weights, bias);
         let layer = Layer::new(&convolution.normalized(&mean, &variance, 1e-5).scaled(&factors, &offsets));
         let mut output = Map::default();
         layer.run(&phases(&input, 1), None, false, &mut output);
@@ -115,6 +127,9 @@ proptest! {
         let mut output = Map::zeros(channels, 16 * rows, 16 * columns);
         add_enlarged::<16>(&map, &mut output);
         assert_equal(&output, &small.enlarge(16), 1e-6);
+        let mut squares = Map::default();
+        split::<2>(&output, &mut squares);
+        assert_equal(&squares, &small.enlarge(16).split(2), 1e-6);
         let large = plain(channels, 4 * rows + 3, 4 * columns + 1, seed ^ 2);
         let (mut halves, mut quarters) = (Map::default(), Map::default());
         average::<2>(&phases(&large, 1), &mut halves);
@@ -143,13 +158,7 @@ proptest! {
 #[test]
 fn a_layer_computes_the_same_in_every_run() {
     let shape = [8, 8, 3, 3];
-    let layer = Layer::new(&Convolution {
-        shape,
-        weights: random(576, 1),
-        bias: random(8, 2),
-        stride: 1,
-        padding: 1,
-    });
+    let layer = Layer::new(&Convolution::same(shape, random(576, 1), random(8, 2)));
     let input = phases(&plain(8, 40, 77, 3), 1);
     let (mut first, mut second) = (Map::default(), Map::zeros(3, 2, 1));
     layer.run(&input, None, true, &mut first);

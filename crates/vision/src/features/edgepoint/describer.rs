@@ -8,9 +8,10 @@
 //! Only the cells that a keypoint needs are computed. The first layer is linear, so that it comes before the enlargement where the maps are small; the
 //! last one is linear, too, and comes after the interpolation.
 
-use super::network::{Maps, Reader};
+use super::network::Maps;
 use crate::features::layers::Map;
 use crate::features::layers::product::Matrix;
+use crate::features::layers::reader::Reader;
 use crate::features::layers::resampling::neighbours;
 use crate::features::state_dict::{StateDict, StateDictError};
 use crate::matching::descriptors::normalize;
@@ -59,7 +60,7 @@ impl Describer {
                 });
             }
         }
-        let mix = reader.plain("desc_head.0", [sum, sum, 1, 1])?;
+        let mix = reader.convolution("desc_head.0", [sum, sum, 1, 1])?;
         let mut first = 0;
         let mix = parts.map(|count| {
             let rows =
@@ -69,7 +70,8 @@ impl Describer {
             first += count;
             part
         });
-        let grouped = reader.normalized("desc_head.1.layer.0", "desc_head.1.layer.1", [sum, GROUP, 3, 3])?;
+        let grouped = reader.unbiased("desc_head.1.layer.0", [sum, GROUP, 3, 3])?;
+        let grouped = reader.scaled(grouped, "desc_head.1.layer.1")?;
         // The inputs in the order of the cells in memory: by rows, columns, channels.
         let by_cell = |kernel: &[f32]| -> Vec<f32> {
             (0..9 * GROUP).map(|at| kernel[at % GROUP * 9 + at / GROUP]).collect()
@@ -80,7 +82,7 @@ impl Describer {
             Matrix::new(&rows, bias)
         });
         let groups = groups.collect();
-        let last = reader.plain("desc_head.2", [dimension, sum, 1, 1])?;
+        let last = reader.convolution("desc_head.2", [dimension, sum, 1, 1])?;
         let last = Matrix::new(&last.weights, &last.bias);
         Ok(Self { mix, groups, last, mixed: Vec::new(), is_mixed: Vec::new() })
     }

@@ -1,6 +1,6 @@
 //! The image as the network takes it.
 
-use super::network::EPSILON;
+use crate::features::layers::reader::EPSILON;
 use crate::features::layers::{Layer, Map};
 use crate::image::GrayImage;
 use pulp::{Arch, NullaryFnOnce};

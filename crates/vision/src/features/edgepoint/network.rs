@@ -15,12 +15,10 @@
 //! Source: Yao, He, Hao & Chen, "EdgePoint2: Compact Descriptors for Superior Efficiency and Accuracy", arXiv 2504.17280; the published
 //! weights (layer names).
 
+use crate::features::layers::reader::Reader;
 use crate::features::layers::resampling::{add_enlarged, average};
 use crate::features::layers::{Convolution, Layer, Map};
 use crate::features::state_dict::{StateDict, StateDictError};
-
-/// Added to variances, as in the training.
-pub(super) const EPSILON: f32 = 1e-5;
 
 /// The layers.
 pub(super) struct Network {
@@ -70,16 +68,16 @@ impl Network {
         let detect = channels("conv1.weight")?;
         let head = |name: &str, outputs| reader.layer(name, [outputs, detect, 3, 3]);
         let score = |name: &str, inputs| reader.layer(name, [detect, inputs, 1, 1]);
+        let first = reader.unbiased("block1.0.layer.0", [c1, 1, 4, 4])?;
+        let first = Convolution { stride: 2, padding: 1, ..first };
+        let second = reader.unbiased("block1.1.layer.0", [c2, c1, 3, 3])?;
         Ok(Self {
-            first: Layer::new(&Convolution {
-                stride: 2,
-                ..reader.normalized("block1.0.layer.0", "block1.0.layer.1", [c1, 1, 4, 4])?
-            }),
-            second: Layer::new(&reader.normalized("block1.1.layer.0", "block1.1.layer.1", [c2, c1, 3, 3])?),
+            first: Layer::new(&reader.scaled(first, "block1.0.layer.1")?),
+            second: Layer::new(&reader.scaled(second, "block1.1.layer.1")?),
             blocks: [
-                reader.residual("block1.2", c2, c2)?,
-                reader.residual("block2", c2, c3)?,
-                reader.residual("block3", c3, c4)?,
+                Residual::new(&reader, "block1.2", c2, c2)?,
+                Residual::new(&reader, "block2", c2, c3)?,
+                Residual::new(&reader, "block3", c3, c4)?,
             ],
             scores: [score("conv1", c2)?, score("conv2", c3)?, score("conv3", c4)?],
             head: [head("score_head.0", detect)?, head("score_head.2", detect)?, head("score_head.4", 4)?],
@@ -115,6 +113,20 @@ impl Network {
 }
 
 impl Residual {
+    fn new(reader: &Reader<'_>, name: &str, inputs: usize, outputs: usize) -> Result<Self, StateDictError> {
+        let layer = |at: usize, inputs| {
+            let [convolution, norm] = [at, at + 1].map(|at| format!("{name}.layer.{at}"));
+            let convolution = reader.unbiased(&convolution, [outputs, inputs, 3, 3])?;
+            Ok::<_, StateDictError>(Layer::new(&reader.scaled(convolution, &norm)?))
+        };
+        let skip = if inputs == outputs {
+            None
+        } else {
+            Some(reader.layer(&format!("{name}.skip"), [outputs, inputs, 1, 1])?)
+        };
+        Ok(Self { first: layer(0, inputs)?, second: layer(3, outputs)?, skip })
+    }
+
     fn run(&self, input: &Map, between: &mut Map, skipped: &mut Map, output: &mut Map) {
         self.first.run(input, None, true, between);
         match &self.skip {
@@ -124,59 +136,5 @@ impl Residual {
             }
             None => self.second.run(between, Some(input), true, output),
         }
-    }
-}
-
-/// Reads layers from the published tensors.
-pub(super) struct Reader<'a>(pub &'a StateDict);
-
-impl Reader<'_> {
-    /// A convolution with a bias.
-    pub fn plain(&self, name: &str, shape: [usize; 4]) -> Result<Convolution, StateDictError> {
-        let weights = self.0.get(&format!("{name}.weight"), &shape)?.to_vec();
-        let bias = self.0.get(&format!("{name}.bias"), &shape[..1])?.to_vec();
-        Ok(Convolution { shape, weights, bias, stride: 1, padding: shape[2] / 2 })
-    }
-
-    fn layer(&self, name: &str, shape: [usize; 4]) -> Result<Layer, StateDictError> {
-        Ok(Layer::new(&self.plain(name, shape)?))
-    }
-
-    /// A convolution without a bias, and the batch normalization after it.
-    pub fn normalized(
-        &self,
-        name: &str,
-        norm: &str,
-        shape: [usize; 4],
-    ) -> Result<Convolution, StateDictError> {
-        let outputs = &shape[..1];
-        let weights = self.0.get(&format!("{name}.weight"), &shape)?.to_vec();
-        let of = |what: &str| self.0.get(&format!("{norm}.{what}"), outputs);
-        let convolution =
-            Convolution { shape, weights, bias: vec![0.0; shape[0]], stride: 1, padding: (shape[2] - 1) / 2 }
-                .normalized(of("running_mean")?, of("running_var")?, EPSILON)
-                .scaled(of("weight")?, of("bias")?);
-        if convolution.bias.iter().chain(&convolution.weights).all(|number| number.is_finite()) {
-            Ok(convolution)
-        } else {
-            Err(StateDictError::NotFinite(format!("{norm}.running_var")))
-        }
-    }
-
-    fn residual(&self, name: &str, inputs: usize, outputs: usize) -> Result<Residual, StateDictError> {
-        let layer = |at: usize, inputs| {
-            let names = [at, at + 1].map(|at| format!("{name}.layer.{at}"));
-            Ok::<_, StateDictError>(Layer::new(&self.normalized(
-                &names[0],
-                &names[1],
-                [outputs, inputs, 3, 3],
-            )?))
-        };
-        let skip = if inputs == outputs {
-            None
-        } else {
-            Some(self.layer(&format!("{name}.skip"), [outputs, inputs, 1, 1])?)
-        };
-        Ok(Residual { first: layer(0, inputs)?, second: layer(3, outputs)?, skip })
     }
 }

@@ -13,9 +13,16 @@ pub struct Convolution {
     pub stride: usize,
     /// Zero padding on every side, pixels.
     pub padding: usize,
+    /// Distance between the pixels that neighbouring weights of the kernel belong to.
+    pub dilation: usize,
 }
 
 impl Convolution {
+    /// A convolution without dilation and with stride 1, whose output is as large as its input.
+    pub fn same(shape: [usize; 4], weights: Vec<f32>, bias: Vec<f32>) -> Self {
+        Self { shape, weights, bias, stride: 1, padding: shape[2] / 2, dilation: 1 }
+    }
+
     /// Folds a batch normalization with fixed mean and variance of each output channel into the convolution.
     ///
     /// # Panics

@@ -1,7 +1,7 @@
 //! Convolutions of feature maps.
 
 use super::convolution::Convolution;
-use super::map::{BLOCK, Map};
+use super::map::{BLOCK, BORDER, Map};
 use super::multiply_add;
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
@@ -19,7 +19,7 @@ const TOGETHER: usize = 4;
 ///
 /// // Each pixel with its two neighbours in the row.
 /// let weights = vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
-/// let sums = Convolution { shape: [1, 1, 3, 3], weights, bias: vec![0.0], stride: 1, padding: 1 };
+/// let sums = Convolution::same([1, 1, 3, 3], weights, vec![0.0]);
 /// let (mut input, mut output) = (Map::zeros(1, 2, 4), Map::default());
 /// input.row_mut(0, 1).copy_from_slice(&[1.0, 2.0, 3.0, 4.0]);
 /// Layer::new(&sums).run(&input, None, false, &mut output);
@@ -42,12 +42,12 @@ impl Layer {
     /// Arranges the weights.
     ///
     /// # Panics
-    /// If the kernel reaches further than one row or column of phases beyond the map on any side.
+    /// If the kernel reaches further than eight rows or columns (of phases) beyond the map.
     pub fn new(convolution: &Convolution) -> Self {
         let [outputs, inputs, height, width] = convolution.shape;
         let stride = convolution.stride;
         let place = |at: usize| {
-            let at = at.cast_signed() - convolution.padding.cast_signed();
+            let at = (at * convolution.dilation).cast_signed() - convolution.padding.cast_signed();
             let s = stride.cast_signed();
             (at.rem_euclid(s).cast_unsigned(), at.div_euclid(s))
         };
@@ -56,7 +56,8 @@ impl Layer {
             for y in 0..height {
                 for x in 0..width {
                     let ((phase_y, down), (phase_x, right)) = (place(y), place(x));
-                    assert!(down.abs() <= 1 && right.abs() <= 1, "the kernel reaches beyond the border");
+                    let reach = down.unsigned_abs().max(right.unsigned_abs());
+                    assert!(reach <= BORDER, "the kernel reaches beyond the border");
                     taps.push((Self::phase(stride, channel, [phase_x, phase_y]), [down, right]));
                 }
             }

@@ -1,15 +1,14 @@
 //! Feature maps with a border of zeros.
 
-/// Columns of zeros to the left of a row: a vector, so that all rows start alike.
-const LEFT: usize = 8;
+/// Rows and columns of zeros on each side: what a kernel reaches at most.
+pub const BORDER: usize = 8;
 /// Columns are computed in blocks of this many.
 pub const BLOCK: usize = 24;
 
 /// Numbers by row, channel and column, with zeros around, which convolutions read as their padding.
 ///
 /// A row holds all channels one after the other, so that what a row of a convolution reads is close together in memory.
-/// One row of zeros is above and one below, eight columns to the left; to the right at least one column after the last
-/// whole block.
+/// Above and below are eight rows of zeros, to the left eight columns; to the right as many after the last whole block.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Map {
     channels: usize,
@@ -22,8 +21,8 @@ pub struct Map {
 impl Map {
     /// A map of zeros.
     pub fn zeros(channels: usize, rows: usize, columns: usize) -> Self {
-        let stride = LEFT + columns.div_ceil(BLOCK) * BLOCK + LEFT;
-        let data = vec![0.0; (rows + 2) * channels * stride];
+        let stride = BORDER + columns.div_ceil(BLOCK) * BLOCK + BORDER;
+        let data = vec![0.0; (rows + 2 * BORDER) * channels * stride];
         Self { channels, rows, columns, stride, data }
     }
 
@@ -63,30 +62,30 @@ impl Map {
 
     /// Index of the first number of a row of a channel.
     fn start(&self, channel: usize, y: usize) -> usize {
-        ((y + 1) * self.channels + channel) * self.stride + LEFT
+        ((y + BORDER) * self.channels + channel) * self.stride + BORDER
     }
 
-    /// Everything that a convolution may read for the outputs of row `y`: from one row above and one column to the left.
+    /// Everything that a convolution may read for the outputs of row `y`, from the rows above on.
     pub(super) fn around_row(&self, y: usize) -> &[f32] {
-        &self.data[y * self.channels * self.stride + LEFT - 1..]
+        &self.data[y * self.channels * self.stride..]
     }
 
-    /// Where in [`Map::around_row`] the neighbour at `[rows, columns]` (-1, 0 or 1 each) of the row's first pixel is.
+    /// Where in [`Map::around_row`] the neighbour at `[rows, columns]` (at most 8 each) of the row's first pixel is.
     pub(super) fn offset(&self, channel: usize, [down, right]: [isize; 2]) -> usize {
-        let row = down.wrapping_add(1).cast_unsigned();
-        (row * self.channels + channel) * self.stride + right.wrapping_add(1).cast_unsigned()
+        let [row, column] = [down, right].map(|step| BORDER.wrapping_add_signed(step));
+        (row * self.channels + channel) * self.stride + column
     }
 
     /// The row of each channel with the columns up to the end of the last block, and the distance between channels.
     pub(super) fn blocks_of_row(&self, y: usize) -> (&[f32], usize) {
         let start = self.start(0, y);
-        (&self.data[start..start + self.channels * self.stride - LEFT], self.stride)
+        (&self.data[start..start + self.channels * self.stride - BORDER], self.stride)
     }
 
     /// As [`Map::blocks_of_row`], to write to.
     pub(super) fn blocks_of_row_mut(&mut self, y: usize) -> (&mut [f32], usize) {
         let start = self.start(0, y);
-        (&mut self.data[start..start + self.channels * self.stride - LEFT], self.stride)
+        (&mut self.data[start..start + self.channels * self.stride - BORDER], self.stride)
     }
 
     /// Sets all numbers to zero.
@@ -94,11 +93,22 @@ impl Map {
         self.data.fill(0.0);
     }
 
+    /// Replaces every number.
+    pub fn apply(&mut self, f: impl Fn(f32) -> f32) {
+        for y in 0..self.rows {
+            for channel in 0..self.channels {
+                for number in self.row_mut(channel, y) {
+                    *number = f(*number);
+                }
+            }
+        }
+    }
+
     /// Sets to zero what blocks wrote to the right of the last column of a row.
     pub(super) fn clear_right(&mut self, y: usize) {
         for channel in 0..self.channels {
             let start = self.start(channel, y);
-            self.data[start + self.columns..start + self.stride - LEFT].fill(0.0);
+            self.data[start + self.columns..start + self.stride - BORDER].fill(0.0);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Feature maps at other resolutions.
 
+use super::layer::Layer;
 use super::map::Map;
 use pulp::{Arch, NullaryFnOnce};
 
@@ -32,6 +33,37 @@ impl<const SIDE: usize> NullaryFnOnce for Average<'_, SIDE> {
                 let squares = sums.as_chunks::<SIDE>().0;
                 for (mean, square) in output.row_mut(channel, y).iter_mut().zip(squares) {
                     *mean = square.iter().sum::<f32>() / (SIDE * SIDE) as f32;
+                }
+            }
+        }
+    }
+}
+
+/// The phases of each channel as channels ([`Layer::phase`]): what a convolution of stride `SIDE` takes as its input.
+pub fn split<const SIDE: usize>(input: &Map, output: &mut Map) {
+    output.reshape(input.channels() * SIDE * SIDE, input.rows() / SIDE, input.columns() / SIDE);
+    Arch::new().dispatch(Split::<SIDE> { input, output });
+}
+
+struct Split<'a, const SIDE: usize> {
+    input: &'a Map,
+    output: &'a mut Map,
+}
+
+impl<const SIDE: usize> NullaryFnOnce for Split<'_, SIDE> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { input, output } = self;
+        for y in 0..output.rows() * SIDE {
+            for channel in 0..input.channels() {
+                let squares = input.row(channel, y).as_chunks::<SIDE>().0;
+                for x in 0..SIDE {
+                    let phase = output.row_mut(Layer::phase(SIDE, channel, [x, y % SIDE]), y / SIDE);
+                    for (number, square) in phase.iter_mut().zip(squares) {
+                        *number = square[x];
+                    }
                 }
             }
         }
