@@ -104,4 +104,4 @@ figures out="target/figures":
 
 # Coverage-guided fuzzing of one target for some seconds (needs nightly and cargo-fuzz)
 fuzz target seconds="60":
-    cargo +nightly fuzz run --features libfuzzer,neural "{{ target }}" -- -max_total_time={{ seconds }}
+    cargo +nightly fuzz run --features libfuzzer "{{ target }}" -- -max_total_time={{ seconds }}

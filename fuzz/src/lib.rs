@@ -10,7 +10,6 @@ mod images;
 mod messages;
 mod records;
 mod sensor_messages;
-#[cfg(feature = "neural")]
 mod weights;
 
 pub use bags::sqlite_bags;
@@ -20,7 +19,6 @@ pub use images::images;
 pub use messages::{bincode_payloads, protocol_bincode, protocol_json};
 pub use records::store_records;
 pub use sensor_messages::{ros_messages, sensor_messages};
-#[cfg(feature = "neural")]
 pub use weights::weights;
 
 /// A fuzz target.
@@ -38,6 +36,5 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("store_records", store_records),
     ("sensor_messages", sensor_messages),
     ("ros_messages", ros_messages),
-    #[cfg(feature = "neural")]
     ("weights", weights),
 ];

@@ -70,7 +70,6 @@ targets! {
     ros_messages,
 }
 
-#[cfg(feature = "neural")]
 #[test]
 fn weights() {
     run("weights");

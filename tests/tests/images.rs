@@ -2,7 +2,7 @@
 //!
 //! The recordings are not part of the repository. Where they are unpacked to `target/data`, run these tests as those of
 //! `recorded`, with `--ignored`; without a recording its test fails and names it. The test of XFeat also needs
-//! `--features neural` and the weights (`driftless weights xfeat`).
+//! the weights (`driftless weights xfeat`).
 
 use evaluation::{Alignment, align};
 use map_io::colmap::{ColmapImage, read_model};
@@ -218,7 +218,7 @@ fn odometry_from_the_images_of_one_shaken_camera() {
     assert!(score.odometry_yaw_aligned_m.rmse <= 0.02 && score.local.rmse_deg <= 1.0);
 }
 
-/// Learned extractors: EdgePoint2, and XFeat where this is built with networks and its weights are there.
+/// Learned extractors: EdgePoint2, and XFeat where its weights are there.
 mod learned {
     use super::*;
 
@@ -262,7 +262,6 @@ mod learned {
         assert_images_are_localized("edgepoint2-1", 30);
     }
 
-    #[cfg(feature = "neural")]
     #[test]
     #[ignore = "needs the recordings in target/data, and the weights of XFeat"]
     fn images_are_localized_by_xfeat_in_good_light_and_bad() {

@@ -6,7 +6,7 @@
 //! | [`detection`] | corners distributed over the image |
 //! | [`tracking`] | pyramidal Lucas-Kanade tracking from image to image and between stereo cameras |
 //! | [`matching`] | descriptors, metrics, brute-force matching, inverted file over a visual vocabulary |
-//! | [`features`] | keypoint extractors with descriptors: SIFT-like, EdgePoint2, XFeat and R2D2 (these with the cargo feature `neural`) |
+//! | [`features`] | keypoint extractors with descriptors: SIFT-like; the networks EdgePoint2, XFeat and R2D2 |
 //!
 //! # Conventions
 //! Pixel (0, 0) is the centre of the top-left pixel, x to the right, y down; pixels are distorted, as observed.

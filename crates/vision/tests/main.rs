@@ -11,8 +11,6 @@ mod inverted_file;
 mod learned;
 mod lucas_kanade;
 mod matching;
-#[cfg(feature = "neural")]
-mod neural;
 mod outliers;
 mod reference;
 mod tracker;

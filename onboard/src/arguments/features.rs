@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result, bail};
 use std::path::PathBuf;
-use vision::features::{DEFAULT_EXTRACTOR, open, uses_one_thread};
+use vision::features::{DEFAULT_EXTRACTOR, open};
 use vision::{FeatureExtractor, GrayImage};
 
 /// Heading of these switches in `--help`.
@@ -52,14 +52,13 @@ impl FeatureArguments {
         open(&self.extractor, self.weights.as_deref()).context("--extractor")
     }
 
-    /// Opens one extractor for each processor; only one where an extractor uses all processors itself.
+    /// Opens one extractor for each processor.
     ///
     /// # Errors
     /// As [`FeatureArguments::open`].
     pub fn open_several(&self) -> Result<Vec<Box<dyn FeatureExtractor>>> {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        let count = if uses_one_thread(&self.extractor) { processors.min(MAX_EXTRACTORS) } else { 1 };
-        (0..count).map(|_| self.open()).collect()
+        (0..processors.min(MAX_EXTRACTORS)).map(|_| self.open()).collect()
     }
 
     /// Reads the mask, if there is one.

@@ -42,10 +42,6 @@ pub mod run;
 pub mod simulate;
 pub mod track;
 pub mod view;
-#[cfg(feature = "neural")]
-pub mod weights;
-#[cfg(not(feature = "neural"))]
-#[path = "no_weights.rs"]
 pub mod weights;
 
 /// Commands that a build without a feature leaves out.

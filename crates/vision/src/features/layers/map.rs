@@ -9,7 +9,7 @@ pub const BLOCK: usize = 24;
 ///
 /// A row holds all channels one after the other, so that what a row of a convolution reads is close together in memory.
 /// Above and below are eight rows of zeros, to the left eight columns; to the right as many after the last whole block.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Debug, Default, PartialEq)]
 pub struct Map {
     channels: usize,
     rows: usize,
@@ -18,18 +18,43 @@ pub struct Map {
     data: Vec<f32>,
 }
 
+impl Clone for Map {
+    fn clone(&self) -> Self {
+        Self { data: self.data.clone(), ..*self }
+    }
+
+    /// Reuses the memory.
+    fn clone_from(&mut self, other: &Self) {
+        let mut data = std::mem::take(&mut self.data);
+        data.clone_from(&other.data);
+        *self = Self { data, ..*other };
+    }
+}
+
 impl Map {
     /// A map of zeros.
     pub fn zeros(channels: usize, rows: usize, columns: usize) -> Self {
-        let stride = BORDER + columns.div_ceil(BLOCK) * BLOCK + BORDER;
-        let data = vec![0.0; (rows + 2 * BORDER) * channels * stride];
-        Self { channels, rows, columns, stride, data }
+        let data = vec![0.0; Self::count(channels, rows, columns)];
+        Self { channels, rows, columns, stride: Self::stride(columns), data }
+    }
+
+    /// Distance between the rows of two channels.
+    fn stride(columns: usize) -> usize {
+        BORDER + columns.div_ceil(BLOCK) * BLOCK + BORDER
+    }
+
+    /// Numbers with the border.
+    fn count(channels: usize, rows: usize, columns: usize) -> usize {
+        (rows + 2 * BORDER) * channels * Self::stride(columns)
     }
 
     /// Gives it another shape, filled with zeros, unless it has that shape already.
     pub fn reshape(&mut self, channels: usize, rows: usize, columns: usize) {
         if [self.channels, self.rows, self.columns] != [channels, rows, columns] {
-            *self = Self::zeros(channels, rows, columns);
+            let mut data = std::mem::take(&mut self.data);
+            data.clear();
+            data.resize(Self::count(channels, rows, columns), 0.0);
+            *self = Self { channels, rows, columns, stride: Self::stride(columns), data };
         }
     }
 

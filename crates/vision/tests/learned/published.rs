@@ -1,13 +1,14 @@
 //! XFeat with its published weights: run with `--ignored` where `driftless weights xfeat` has put them.
 
-use super::engines;
-use super::reference::{Map, xfeat, xfeat_shapes};
+use super::networks::{difference, map};
+use super::published_networks::{xfeat, xfeat_shapes};
+use crate::reference::Map;
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Matrix3, Matrix4, Rotation3, UnitQuaternion, Vector2, Vector3};
 use std::path::{Path, PathBuf};
-use vision::features::StateDict;
-use vision::features::neural::{Network, WeightsError, XfeatExtractor, write_xfeat};
-use vision::features::weights::{XFEAT, default_folder};
+use vision::features::weights::{WeightsError, XFEAT, default_folder};
+use vision::features::xfeat::XfeatNetwork;
+use vision::features::{StateDict, XfeatExtractor};
 use vision::{DescriptorView, FeatureExtractor as _, GrayImage, MatchOptions, Metric, match_descriptors};
 
 fn weights() -> PathBuf {
@@ -29,15 +30,10 @@ fn the_published_network_gives_the_numbers_of_a_direct_computation() {
     let image =
         Map::from_fn(1, 64, 96, |_, y, x| ((y * 37 + x * 17) as f32 * 0.61).sin() + (x / 16 % 2) as f32);
     let expected = xfeat(&tensors, &image);
-    for engine in engines() {
-        let names = ["descriptors", "keypoints", "reliability"];
-        let mut network = Network::load(write_xfeat(&state).unwrap(), "image", &names, engine).unwrap();
-        let found = network.run([1, 1, 64, 96], image.data.clone()).unwrap();
-        for ((name, found), expected) in names.iter().zip(&found).zip(&expected) {
-            let largest = expected.data.iter().fold(0.0_f32, |largest, number| largest.max(number.abs()));
-            let worst = found.data.iter().zip(&expected.data).fold(0.0_f32, |w, (a, b)| w.max((a - b).abs()));
-            assert!(worst < 1e-4 * largest, "{name} in {engine:?}: {worst} of {largest}");
-        }
+    let mut network = XfeatNetwork::new(&state).unwrap();
+    for (found, expected) in network.run(&map(&image)).into_iter().zip(&expected) {
+        let difference = difference(found, 0, expected);
+        assert!(difference < 1e-4, "{difference}");
     }
 }
 

@@ -1,7 +1,6 @@
 //! Dense maps over an image: sub-pixel peaks, and interpolation.
 
-use super::network::NetworkError;
-use crate::features::tensor::Tensor;
+use super::layers::Map;
 use crate::matching::descriptors::normalize;
 use std::cmp::Ordering;
 
@@ -24,15 +23,10 @@ pub(super) struct Peak {
 }
 
 impl Heatmap {
-    /// From a network output `[1, 1, height, width]`.
-    pub fn from_output(
-        name: &str,
-        tensor: Tensor,
-        height: usize,
-        width: usize,
-    ) -> Result<Self, NetworkError> {
-        check_shape(name, &tensor, &[1, 1, height, width])?;
-        Ok(Self { width, height, data: tensor.data })
+    /// One channel of a map.
+    pub fn of_channel(map: &Map, channel: usize) -> Self {
+        let data = (0..map.rows()).flat_map(|y| map.row(channel, y)).copied().collect();
+        Self { width: map.columns(), height: map.rows(), data }
     }
 
     fn get(&self, x: usize, y: usize) -> f32 {
@@ -112,33 +106,21 @@ pub(super) struct Descriptors {
 }
 
 impl Descriptors {
-    /// From a network output `[1, dimension, height, width]`; vectors are normalized.
-    pub fn from_output(
-        name: &str,
-        tensor: &Tensor,
-        dimension: usize,
-        height: usize,
-        width: usize,
-    ) -> Result<Self, NetworkError> {
-        check_shape(name, tensor, &[1, dimension, height, width])?;
-        let cells = height * width;
-        let mut data = vec![0.0; cells * dimension];
-        for (channel, values) in tensor.data.chunks_exact(cells).enumerate() {
-            for (cell, &value) in values.iter().enumerate() {
-                data[cell * dimension + channel] = value;
+    /// The channels of each cell of a map, normalized.
+    pub fn of_map(map: &Map) -> Self {
+        let (width, height, dimension) = (map.columns(), map.rows(), map.channels());
+        let mut data = vec![0.0; height * width * dimension];
+        for (y, row) in data.chunks_exact_mut(width * dimension).enumerate() {
+            for channel in 0..dimension {
+                for (vector, &value) in row.chunks_exact_mut(dimension).zip(map.row(channel, y)) {
+                    vector[channel] = value;
+                }
             }
         }
         for vector in data.chunks_exact_mut(dimension) {
             normalize(vector);
         }
-        Ok(Self { width, height, dimension, data })
-    }
-
-    /// Writes the unit vector of the nearest cell to `vector`.
-    pub fn nearest(&self, x: f32, y: f32, vector: &mut [f32]) {
-        let x = x.round().clamp(0.0, (self.width - 1) as f32) as usize;
-        let y = y.round().clamp(0.0, (self.height - 1) as f32) as usize;
-        vector.copy_from_slice(self.get(x, y));
+        Self { width, height, dimension, data }
     }
 
     /// Writes the unit vector by bicubic interpolation to `vector`; the border is replicated.
@@ -173,14 +155,6 @@ fn cubic_weights(t: f32) -> [f32; 4] {
     let near = |d: f32| ((CUBIC + 2.0) * d - (CUBIC + 3.0)) * d * d + 1.0;
     let far = |d: f32| ((CUBIC * d - 5.0 * CUBIC) * d + 8.0 * CUBIC) * d - 4.0 * CUBIC;
     [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)]
-}
-
-fn check_shape(name: &str, tensor: &Tensor, needed: &[usize]) -> Result<(), NetworkError> {
-    if tensor.shape == needed {
-        return Ok(());
-    }
-    let (found, needed) = (tensor.shape.clone(), needed.to_vec());
-    Err(NetworkError::Shape { name: name.to_owned(), found, needed })
 }
 
 #[cfg(test)]
@@ -226,15 +200,14 @@ mod tests {
         for t in [0.0, 0.2, 0.9] {
             assert!((cubic_weights(t).iter().sum::<f32>() - 1.0).abs() < 1e-6);
         }
-        let data = (0..6 * 5 * 3).map(|i| ((i * 37 % 17) as f32) - 8.0).collect();
-        let tensor = Tensor { shape: vec![1, 3, 5, 6], data };
-        let map = Descriptors::from_output("descriptors", &tensor, 3, 5, 6).unwrap();
-        let (mut vector, mut nearest) = ([0.0; 3], [0.0; 3]);
-        map.bicubic(4.0, 2.0, &mut vector);
-        map.nearest(4.2, 1.7, &mut nearest);
-        assert!(vector.iter().zip(nearest).all(|(a, b)| (a - b).abs() < 1e-5));
-        let mut expected = [2 * 6 + 4, 30 + 2 * 6 + 4, 60 + 2 * 6 + 4].map(|i| tensor.data[i]);
+        let mut map = Map::zeros(3, 5, 6);
+        for (at, number) in (0..6 * 5 * 3).map(|i| ((i * 37 % 17) as f32) - 8.0).enumerate() {
+            map.row_mut(at / 30, at / 6 % 5)[at % 6] = number;
+        }
+        let mut vector = [0.0; 3];
+        Descriptors::of_map(&map).bicubic(4.0, 2.0, &mut vector);
+        let mut expected = [0, 1, 2].map(|channel| map.row(channel, 2)[4]);
         normalize(&mut expected);
-        assert_eq!(nearest, expected);
+        assert!(vector.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 }

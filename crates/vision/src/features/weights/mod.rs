@@ -1,13 +1,16 @@
-//! Where the weights of networks are stored, and their checksums. Reading them needs the feature `neural`; this module
-//! does not, so that every build of the tools can fetch them.
+//! Files with the weights of networks: where they are, their checksums, and reading them.
+
+mod read;
+
+pub(crate) use read::open;
+pub use read::{WeightsError, sha256};
 
 use std::path::{Path, PathBuf};
 
 /// The environment variable that names the folder of weights.
 pub const FOLDER_VARIABLE: &str = "DRIFTLESS_WEIGHTS";
 
-/// Most bytes of a file of weights, or of the library that runs them: those of XFeat have 6 MB, the library 29 MB, and large networks a
-/// hundred.
+/// Most bytes of a file of weights: those of XFeat have 6 MB.
 pub const MAX_WEIGHTS_BYTES: u64 = 256 << 20;
 
 /// The weights of an extractor.
@@ -21,6 +24,8 @@ pub struct WeightsFile {
     pub sha256: Option<&'static str>,
     /// The command that fetches it.
     pub command: &'static str,
+    /// Extension of the file of an earlier version, in another format.
+    pub old_extension: &'static str,
 }
 
 impl WeightsFile {
@@ -48,14 +53,16 @@ pub const XFEAT: WeightsFile = WeightsFile {
     file: "xfeat.safetensors",
     sha256: Some("f42df07e3b46077a1b2496879ff185c43692e128d8ea60b1bf849c4958b6ba8d"),
     command: "driftless weights xfeat",
+    old_extension: "pt",
 };
 
 /// R2D2 (NeurIPS 2019). Its weights are for non-commercial use only, so the user provides them.
 pub const R2D2: WeightsFile = WeightsFile {
     name: "r2d2-1",
-    file: "r2d2-1.onnx",
+    file: "r2d2-1.safetensors",
     sha256: None,
-    command: "driftless weights r2d2 --from FILE.onnx",
+    command: "driftless weights r2d2 --from r2d2_WASF_N16.pt",
+    old_extension: "onnx",
 };
 
 /// All known weights.

@@ -1,7 +1,7 @@
 //! Reading files of weights with their checksums.
 
-use super::network::NetworkError;
-use crate::features::weights::{MAX_WEIGHTS_BYTES, WeightsFile};
+use super::{MAX_WEIGHTS_BYTES, WeightsFile};
+use crate::features::state_dict::{StateDict, StateDictError};
 use sha2::{Digest as _, Sha256};
 use std::path::{Path, PathBuf};
 
@@ -21,14 +21,14 @@ pub enum WeightsError {
         /// The command that fetches them.
         command: &'static str,
     },
-    /// Only the PyTorch file of an earlier version is there.
-    #[error("{} is missing, and {} is no longer read; convert it with `{command} --from {}`", path.display(), old.display(), old.display())]
+    /// Only the file of an earlier version is there.
+    #[error("{} is missing, and {} is no longer read; make it with `{command}`", path.display(), old.display())]
     Unconverted {
         /// The missing file.
         path: PathBuf,
-        /// The PyTorch file.
+        /// The old file.
         old: PathBuf,
-        /// The command that fetches or converts the weights.
+        /// The command that makes the new one.
         command: &'static str,
     },
     /// The checksum is wrong.
@@ -52,26 +52,40 @@ pub enum WeightsError {
         /// The file.
         path: PathBuf,
         /// The cause.
-        source: Box<NetworkError>,
+        source: Box<StateDictError>,
         /// The command that fetches it.
         command: &'static str,
     },
 }
 
 impl WeightsError {
-    pub(super) fn unusable(path: &Path, file: &WeightsFile, error: NetworkError) -> Self {
+    fn unusable(path: &Path, file: &WeightsFile, error: StateDictError) -> Self {
         Self::Unusable { path: path.to_path_buf(), source: Box::new(error), command: file.command }
     }
 }
 
+/// Makes something of the weights of a file in a folder.
+///
+/// # Errors
+/// [`WeightsError`]: the file is missing, damaged, or does not hold the weights that `make` needs.
+pub(crate) fn open<T>(
+    folder: &Path,
+    file: &WeightsFile,
+    make: impl Fn(&StateDict) -> Result<T, StateDictError>,
+) -> Result<T, WeightsError> {
+    let path = folder.join(file.file);
+    let state = StateDict::read(&read_checked(&path, file)?);
+    state.and_then(|state| make(&state)).map_err(|error| WeightsError::unusable(&path, file, error))
+}
+
 /// Reads a file of weights and checks its SHA-256 against the known one, or against its checksum file if there is one.
-pub(super) fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, WeightsError> {
+fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, WeightsError> {
     let bytes = files::read(path, MAX_WEIGHTS_BYTES).map_err(|source| {
-        let (path, old, command) = (path.to_path_buf(), path.with_extension("pt"), file.command);
+        let (path, old) = (path.to_path_buf(), path.with_extension(file.old_extension));
         if source.kind() == std::io::ErrorKind::NotFound && old.exists() {
-            return WeightsError::Unconverted { path, old, command };
+            return WeightsError::Unconverted { path, old, command: file.command };
         }
-        WeightsError::Unreadable { name: file.name, path, source, command }
+        WeightsError::Unreadable { name: file.name, path, source, command: file.command }
     })?;
     if let Some(needed) = file.needed_sha256(path) {
         let found = sha256(&bytes);
