@@ -9,9 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use vision::features::open;
 use vision::tracking::{Tracker, TrackerFrame, TrackerOptions};
-use vision::{
-    CornerOptions, Equalization, GrayImage, LocalEqualization, Pyramid, detect_corners,
-};
+use vision::{CornerOptions, Equalization, GrayImage, LocalEqualization, Pyramid, detect_corners};
 
 /// Images held in memory at once.
 const MAX_IMAGES: usize = 320;

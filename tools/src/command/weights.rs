@@ -131,7 +131,9 @@ fn r2d2(from: &Path) -> anyhow::Result<Vec<u8>> {
     let is_converted = StateDict::read(&bytes).is_ok();
     let weights = if is_converted { bytes } else { torch_to_safetensors(&bytes)? };
     let usable = StateDict::read(&weights).and_then(|state| R2d2Extractor::from_weights(&state));
-    usable.with_context(|| format!("{} does not hold the weights of R2D2 (WASF_N16 or WAF_N16)", from.display()))?;
+    usable.with_context(|| {
+        format!("{} does not hold the weights of R2D2 (WASF_N16 or WAF_N16)", from.display())
+    })?;
     Ok(weights)
 }
 
@@ -236,11 +238,21 @@ mod tests {
         let global = |module: &str, name: &str| format!("c{module}\n{name}\n").into_bytes();
         let mut file = [b"\x80\x02\x8a\x01\x05.", &b"\x80\x02K\x01."[..], b"\x80\x02}."].concat();
         let storage = [
-            &b"("[..], &text("storage"), &global("torch", "FloatStorage"), &text("7"), &text("cpu"), b"K\x02Nt", b"Q",
+            &b"("[..],
+            &text("storage"),
+            &global("torch", "FloatStorage"),
+            &text("7"),
+            &text("cpu"),
+            b"K\x02Nt",
+            b"Q",
         ];
         let tensor = [
-            &global("torch._utils", "_rebuild_tensor_v2")[..], b"(", &storage.concat(), b"K\x00K\x02\x85K\x01\x85\x89",
-            &global("collections", "OrderedDict"), b")RtR",
+            &global("torch._utils", "_rebuild_tensor_v2")[..],
+            b"(",
+            &storage.concat(),
+            b"K\x00K\x02\x85K\x01\x85\x89",
+            &global("collections", "OrderedDict"),
+            b")RtR",
         ];
         let tensors = [&b"}"[..], &text("module.clf.bias"), &tensor.concat(), b"s"].concat();
         file.extend([&b"\x80\x02}"[..], &text("state_dict"), &tensors, b"s."].concat());
@@ -262,7 +274,10 @@ mod tests {
         fs::write(&from, old_checkpoint()).unwrap();
         let args = Args { what: Some(What::R2d2), from: Some(from), dir: Some(weights.clone()) };
         let error = format!("{:#}", run(args.clone()).unwrap_err());
-        assert!(error.contains("net.pt") && error.contains("WASF_N16") && error.contains("missing"), "{error}");
+        assert!(
+            error.contains("net.pt") && error.contains("WASF_N16") && error.contains("missing"),
+            "{error}"
+        );
         assert!(!weights.exists());
         let error = run(Args { from: None, ..args }).unwrap_err().to_string();
         assert!(error.contains("non-commercial") && error.contains("--from"), "{error}");
