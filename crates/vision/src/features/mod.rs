@@ -15,10 +15,10 @@
 //! Robot and map must use the same extractor: [`FeatureExtractor::name`] is part of the map and of every query.
 
 pub mod classical;
-mod dense_maps;
 pub mod edgepoint;
 pub mod extractor;
 mod feature_set;
+mod heatmap;
 pub mod layers;
 pub mod open;
 pub mod quantize;

@@ -4,7 +4,6 @@
 //! |---|---|
 //! | `image` | normalization, and the 2x2 phases of the image |
 //! | `network` | feature maps and scores |
-//! | `peaks` | non-maximum suppression, sub-pixel positions |
 //! | `describer` | descriptors at keypoints |
 //!
 //! Differences from the published program: an image whose sides are not multiples of 32 is continued on the right and at the bottom by its
@@ -20,12 +19,12 @@
 mod describer;
 mod image;
 mod network;
-mod peaks;
 #[cfg(test)]
 mod tests;
 
 use super::extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
-use super::quantize::quantize;
+use super::heatmap::Heatmap;
+use super::quantize::quantized;
 use super::selection::select_best;
 use super::state_dict::{StateDict, StateDictError};
 use crate::image::GrayImage;
@@ -33,12 +32,13 @@ use crate::matching::Metric;
 use describer::Describer;
 use image::MULTIPLE;
 use network::{Maps, Network};
-use peaks::Scores;
 
 /// Name of the extractor.
 pub const NAME: &str = "edgepoint2-1";
 /// The published weights of the variant S64, converted by `torch_to_safetensors.py` of `driftless weights`.
 const WEIGHTS: &[u8] = include_bytes!("s64.safetensors");
+/// Radius of non-maximum suppression (5 x 5), as published.
+const PEAK_RADIUS: usize = 2;
 /// Least score of a keypoint, as published.
 const MIN_SCORE: f32 = -5.0;
 /// No keypoint is nearer to a side of the image, pixels, as published.
@@ -62,7 +62,7 @@ pub struct EdgePointExtractor {
     network: Network,
     describer: Describer,
     maps: Maps,
-    scores: Scores,
+    scores: Heatmap,
     refines: bool,
 }
 
@@ -84,7 +84,7 @@ impl EdgePointExtractor {
     /// [`StateDictError`] if a tensor is missing, not finite or has a wrong shape.
     pub fn from_weights(name: &str, weights: &StateDict) -> Result<Self, StateDictError> {
         let (network, describer) = (Network::new(weights)?, Describer::new(weights)?);
-        let (maps, scores) = (Maps::default(), Scores::default());
+        let (maps, scores) = (Maps::default(), Heatmap::default());
         Ok(Self { name: name.to_owned(), network, describer, maps, scores, refines: true })
     }
 
@@ -111,15 +111,17 @@ impl EdgePointExtractor {
         image::prepare(image, &mut self.maps.image);
         self.network.run(&mut self.maps);
         self.scores.fill(&self.maps.scores);
-        let peaks = self.scores.peaks(MIN_SCORE, BORDER, [image.width(), image.height()]);
-        let candidates = peaks.into_iter().map(|peak| {
+        let peaks = self.scores.peaks::<PEAK_RADIUS>(MIN_SCORE);
+        let (columns, rows) = (BORDER..image.width() - BORDER, BORDER..image.height() - BORDER);
+        let inside = peaks.into_iter().filter(|peak| columns.contains(&peak.x) && rows.contains(&peak.y));
+        let candidates = inside.map(|peak| {
             let pixel = [peak.x as f32, peak.y as f32];
-            (Keypoint { pixel, scale: 1.0, score: peak.score }, peak)
+            (Keypoint { pixel, scale: 1.0, score: peak.heat }, peak)
         });
         let (mut keypoints, peaks) = select_best(candidates.collect(), image, mask, max_features);
         if self.refines {
             for (keypoint, &peak) in keypoints.iter_mut().zip(&peaks) {
-                keypoint.pixel = self.scores.refine(peak);
+                keypoint.pixel = self.scores.refine(peak, |score| score);
             }
         }
         let pixels: Vec<[f32; 2]> = keypoints.iter().map(|keypoint| keypoint.pixel).collect();
@@ -148,11 +150,6 @@ impl FeatureExtractor for EdgePointExtractor {
         max_features: usize,
     ) -> Result<ImageFeatures, ExtractError> {
         let (keypoints, numbers) = self.extract_floats(image, mask, max_features)?;
-        let width = self.width();
-        let mut descriptors = Vec::with_capacity(numbers.len());
-        for vector in numbers.chunks_exact(width) {
-            quantize(vector, &mut descriptors);
-        }
-        Ok(ImageFeatures { keypoints, metric: self.metric(), width, descriptors })
+        Ok(quantized(keypoints, self.width(), numbers.chunks_exact(self.width())))
     }
 }

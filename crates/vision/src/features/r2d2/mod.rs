@@ -10,9 +10,9 @@
 
 mod network;
 
-use super::dense_maps::Heatmap;
+use super::heatmap::{Heatmap, log};
 use super::layers::Map;
-use super::quantize::quantize;
+use super::quantize::quantized;
 use super::selection::select_best;
 use super::state_dict::{StateDict, StateDictError};
 use super::weights::{self, R2D2, WeightsError};
@@ -75,12 +75,12 @@ impl R2d2Extractor {
         let [descriptors, confidences] = self.network.run(&self.image);
         let repeatability = Heatmap::of_channel(confidences, 1);
         let mut candidates = Vec::new();
-        for peak in repeatability.peaks(PEAK_RADIUS, MIN_SCORE) {
+        for peak in repeatability.peaks::<PEAK_RADIUS>(MIN_SCORE) {
             let reliable = confidences.row(0, peak.y)[peak.x];
             if reliable > MIN_SCORE {
                 let mut vector = std::array::from_fn(|channel| descriptors.row(channel, peak.y)[peak.x]);
                 normalize(&mut vector);
-                let pixel = repeatability.refine(peak);
+                let pixel = repeatability.refine(peak, log);
                 candidates.push((Keypoint { pixel, scale: 1.0, score: peak.heat * reliable }, vector));
             }
         }
@@ -129,11 +129,7 @@ impl FeatureExtractor for R2d2Extractor {
             }));
         }
         let (keypoints, vectors) = select_best(candidates, image, mask, max_features);
-        let mut descriptors = Vec::with_capacity(vectors.len() * DIMENSION);
-        for vector in &vectors {
-            quantize(vector, &mut descriptors);
-        }
-        Ok(ImageFeatures { keypoints, metric: Metric::CosineInt8, width: DIMENSION, descriptors })
+        Ok(quantized(keypoints, DIMENSION, vectors.iter().map(<[f32; DIMENSION]>::as_slice)))
     }
 }
 

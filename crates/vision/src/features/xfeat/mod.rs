@@ -44,18 +44,20 @@
 //!
 //! Source: Potje, Cadar, Araujo, Martins & Nascimento, CVPR 2024.
 
+mod descriptors;
 mod network;
 
-use super::dense_maps::{Descriptors, Heatmap};
+use super::heatmap::{Heatmap, log};
 use super::layers::Map;
 use super::layers::reader::EPSILON;
-use super::quantize::quantize;
+use super::quantize::quantized;
 use super::selection::select_best;
 use super::state_dict::{StateDict, StateDictError};
 use super::weights::{self, WeightsError, XFEAT};
 use crate::features::extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
 use crate::image::GrayImage;
 use crate::matching::Metric;
+use descriptors::Descriptors;
 pub use network::XfeatNetwork;
 use network::{CELL, DIMENSION, KEYPOINT_CHANNELS, MULTIPLE};
 use std::path::Path;
@@ -95,11 +97,11 @@ impl XfeatExtractor {
         let descriptors = Descriptors::of_map(descriptors);
         let heat = heat_of_pixels(keypoints);
         let reliability = Heatmap::of_channel(reliability, 0);
-        let peaks = heat.peaks(PEAK_RADIUS, MIN_SCORE);
+        let peaks = heat.peaks::<PEAK_RADIUS>(MIN_SCORE);
         // Ignores the padding.
         let inside = peaks.into_iter().filter(|peak| peak.x < image.width() && peak.y < image.height());
         let candidates = inside.map(|peak| {
-            let [u, v] = heat.refine(peak);
+            let [u, v] = heat.refine(peak, log);
             let pixel = [u.min((image.width() - 1) as f32), v.min((image.height() - 1) as f32)];
             let [x, y] = pixel.map(cell_of_pixel);
             let score = peak.heat * reliability.bilinear(x, y);
@@ -152,11 +154,7 @@ impl FeatureExtractor for XfeatExtractor {
         max_features: usize,
     ) -> Result<ImageFeatures, ExtractError> {
         let (keypoints, vectors) = self.extract_floats(image, mask, max_features)?;
-        let mut descriptors = Vec::with_capacity(keypoints.len() * DIMENSION);
-        for vector in &vectors {
-            quantize(vector, &mut descriptors);
-        }
-        Ok(ImageFeatures { keypoints, metric: Metric::CosineInt8, width: DIMENSION, descriptors })
+        Ok(quantized(keypoints, DIMENSION, vectors.iter().map(<[f32; DIMENSION]>::as_slice)))
     }
 }
 
