@@ -2,8 +2,11 @@
 
 use clap::Parser;
 use onboard::{MapLink, Outcome, RobotArguments, run_robot};
+use recognition::LoadedMap;
 use sensors::Sequence;
 use std::path::Path;
+use std::sync::Arc;
+use tools::in_process::LocalServer;
 
 pub use crate::requests::{images, request};
 
@@ -23,6 +26,16 @@ pub fn arguments(out: &Path, switches: &str) -> RobotArguments {
 pub fn run(sequence: &Sequence, out: &Path, switches: &str, link: Option<MapLink>) -> Outcome {
     let outcome = run_robot(sequence, &arguments(out, switches), link, |_| {}).unwrap();
     assert_eq!(outcome.summary.ended_early, None);
+    outcome
+}
+
+/// [`run`] with a server of its own for a map.
+pub fn run_in_map(sequence: &Sequence, out: &Path, switches: &str, map: &Arc<LoadedMap>) -> Outcome {
+    let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(map))]).unwrap();
+    let link = server.link("map").unwrap();
+    let outcome = run(sequence, out, switches, Some(link.clone()));
+    server.unlink(&link);
+    server.stop().unwrap();
     outcome
 }
 

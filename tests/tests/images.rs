@@ -11,11 +11,9 @@ use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;
 use recognition::LoadedMap;
 use sensors::{Sequence, TruthTrack};
-use std::sync::Arc;
 use tests::data::recording;
 use tests::images::{Found, Split, within, wrong_by};
-use tests::robot::run;
-use tools::in_process::LocalServer;
+use tests::robot::{run, run_in_map};
 use vision::features::open;
 use vision::{FeatureExtractor, GrayImage};
 
@@ -176,12 +174,8 @@ fn few_images_keep_a_robot_in_the_map() {
     let (map, _) = split.build(classical().as_mut(), MAP_FEATURES);
     let mut live = split.sequence.clone();
     live.frames = split.queries.iter().map(|&index| split.sequence.frames[index].clone()).collect();
-    let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(&map))]).unwrap();
-    let link = server.link("map").unwrap();
     let out = tempfile::tempdir().unwrap();
-    let outcome = run(&live, out.path(), "--cameras mono", Some(link.clone()));
-    server.unlink(&link);
-    server.stop().unwrap();
+    let outcome = run_in_map(&live, out.path(), "--cameras mono", &map);
     let truth = TruthTrack::new(live.groundtruth.as_deref().unwrap());
     let initialized_ns =
         outcome.states().unwrap().iter().find(|state| state.global_from_imu.is_some()).unwrap().stamp_ns;

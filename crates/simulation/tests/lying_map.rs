@@ -3,23 +3,15 @@
 
 use estimator::EstimatorConfig;
 use simulation::monte_carlo::{AnswerOptions, Lie, MapOptions, MonteCarloOptions, Trial, Variant, run};
-use simulation::{Scenario, SimulationOptions};
 
-use crate::Tracks;
+use crate::{Tracks, loops};
 
 const FROM_S: f64 = 15.0;
 
 fn trials(runs: usize, tracks: Tracks, lie: Option<Lie>, map: MapOptions, cameras: usize) -> Vec<Trial> {
     let options = MonteCarloOptions {
         runs,
-        simulation: SimulationOptions {
-            scenario: Scenario::Loops,
-            speed: 3.0,
-            max_tracks: tracks.max(),
-            duration_s: Some(40.0),
-            live_feature_period_s: 1e9,
-            ..SimulationOptions::default()
-        },
+        simulation: loops(3.0, 40.0, tracks),
         map,
         answers: AnswerOptions { every_s: 1.0, lie, ..AnswerOptions::default() },
         ..MonteCarloOptions::default()

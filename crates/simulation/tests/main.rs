@@ -19,6 +19,18 @@ impl Tracks {
     }
 }
 
+/// Rounds through a scenario of loops; the answers of the map are simulated, so that images need no features.
+fn loops(speed: f64, duration_s: f64, tracks: Tracks) -> simulation::SimulationOptions {
+    simulation::SimulationOptions {
+        scenario: simulation::Scenario::Loops,
+        speed,
+        max_tracks: tracks.max(),
+        duration_s: Some(duration_s),
+        live_feature_period_s: 1e9,
+        ..simulation::SimulationOptions::default()
+    }
+}
+
 /// Root mean square error of the position in L, metres; infinite without one.
 fn rms_error_m(trial: &simulation::monte_carlo::Trial) -> f64 {
     let Some(errors) = &trial.errors else { return f64::INFINITY };

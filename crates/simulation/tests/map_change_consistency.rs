@@ -4,9 +4,8 @@ use estimator::EstimatorConfig;
 use evaluation::Verdict;
 use simulation::monte_carlo::score::{OutputScore, ScoreOptions, score};
 use simulation::monte_carlo::{AnswerOptions, MapChangeOptions, MonteCarloOptions, Variant, run};
-use simulation::{Scenario, SimulationOptions};
 
-use crate::Tracks;
+use crate::{Tracks, loops};
 
 /// Runs of 20 s of which the last 8 are scored: the map changed just before, by 0.3 m and 1.7 degrees an axis.
 fn pose_after_a_change(
@@ -19,14 +18,7 @@ fn pose_after_a_change(
         MapChangeOptions { at_s: 12.0, sigma_theta_rad: 0.03, sigma_p_m: 0.3, new_errors, is_stated };
     let options = MonteCarloOptions {
         runs,
-        simulation: SimulationOptions {
-            scenario: Scenario::Loops,
-            speed: 3.0,
-            max_tracks: tracks.max(),
-            duration_s: Some(20.0),
-            live_feature_period_s: 1e9,
-            ..SimulationOptions::default()
-        },
+        simulation: loops(3.0, 20.0, tracks),
         answers: AnswerOptions { every_s: 2.0, ..AnswerOptions::default() },
         map_change: Some(change),
         ..MonteCarloOptions::default()

@@ -2,13 +2,13 @@
 
 use estimator::EstimatorConfig;
 use evaluation::Verdict;
+use simulation::SimulationOptions;
 use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, run,
 };
-use simulation::{Scenario, SimulationOptions};
 
-use crate::Tracks;
+use crate::{Tracks, loops};
 
 /// Scores the default filter.
 fn ensemble(
@@ -34,16 +34,6 @@ fn ensemble(
     assert_eq!((score.runs, score.diverged), (runs, 0));
     println!("{:?}, ended within 3 sigma: {}", score.map, score.ended_within_3_sigma);
     score
-}
-
-fn loops(speed: f64, duration_s: f64, tracks: Tracks) -> SimulationOptions {
-    SimulationOptions {
-        scenario: Scenario::Loops,
-        speed,
-        max_tracks: tracks.max(),
-        duration_s: Some(duration_s),
-        ..SimulationOptions::default()
-    }
 }
 
 /// Seeds of every run of the tests; the nightly ones have [`ALL_SEEDS`].

@@ -1,8 +1,8 @@
 //! A state that is wrong without knowing it, and a map that goes on answering: the filter must give way.
 
+use crate::{Tracks, loops};
 use estimator::EstimatorConfig;
 use simulation::monte_carlo::{AnswerOptions, Disturbance, DisturbedState, MonteCarloOptions, Variant, run};
-use simulation::{Scenario, SimulationOptions};
 
 /// Of each failure with one and with two cameras, in every run of the tests, and in the nightly one.
 const SEEDS: usize = 4;
@@ -34,13 +34,7 @@ fn a_wrong_state_is_rescued_by_five_answers_with_all_seeds() {
 fn rescued(runs: usize) {
     let options = MonteCarloOptions {
         runs,
-        simulation: SimulationOptions {
-            scenario: Scenario::Loops,
-            speed: 3.0,
-            duration_s: Some(26.0),
-            live_feature_period_s: 1e9,
-            ..SimulationOptions::default()
-        },
+        simulation: loops(3.0, 26.0, Tracks::All),
         answers: AnswerOptions { every_s: 1.0, ..AnswerOptions::default() },
         disturbance: Some(Disturbance { at_s: 15.35, states: FAILURES.to_vec() }),
         ..MonteCarloOptions::default()

@@ -12,8 +12,7 @@ use sensors::Sequence;
 use std::path::Path;
 use std::sync::Arc;
 use tests::data::recording;
-use tests::robot::run;
-use tools::in_process::LocalServer;
+use tests::robot::run_in_map;
 
 /// A map without reference poses, from a folder.
 pub(super) fn built_from_odometry(folder: &Path) -> (Sequence, MapContents, BuildReport) {
@@ -82,11 +81,7 @@ fn a_hall_mapped_without_reference_poses() {
         row.pose = global_from_truth.compose(&row.pose);
         row.velocity = row.velocity.map(|velocity| global_from_truth.rotation * velocity);
     }
-    let server = LocalServer::start(vec![("map".to_owned(), map)]).unwrap();
-    let link = server.link("map").unwrap();
     let out = tempfile::tempdir().unwrap();
-    let outcome = run(&live, out.path(), "--init truth --mode multi", Some(link.clone()));
-    server.unlink(&link);
-    server.stop().unwrap();
+    let outcome = run_in_map(&live, out.path(), "--init truth --mode multi", &map);
     assert_consistent(&pose_within(&outcome, 0.02, 0.15));
 }

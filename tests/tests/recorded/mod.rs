@@ -18,8 +18,7 @@ use sensors::Sequence;
 use std::path::Path;
 use std::sync::Arc;
 use tests::data::{data_folder, recording};
-use tests::robot::run;
-use tools::in_process::LocalServer;
+use tests::robot::run_in_map;
 
 mod long;
 mod map_without_poses;
@@ -45,13 +44,7 @@ fn localize(live: &Path, map: &Arc<LoadedMap>, switches: &str) -> Outcome {
 
 /// [`localize`] whose files stay.
 fn localize_into(out: &Path, live: &Path, map: &Arc<LoadedMap>, switches: &str) -> Outcome {
-    let sequence = Sequence::open(live).unwrap();
-    let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(map))]).unwrap();
-    let link = server.link("map").unwrap();
-    let outcome = run(&sequence, out, switches, Some(link.clone()));
-    server.unlink(&link);
-    server.stop().unwrap();
-    outcome
+    run_in_map(&Sequence::open(live).unwrap(), out, switches, map)
 }
 
 /// The score of the pose in G, after checking it against bounds in metres and degrees.

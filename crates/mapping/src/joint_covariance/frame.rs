@@ -8,8 +8,8 @@
 //! P' = (I - A M) P (I - A M)^T + A G A^T + sigma_s^2 s s^T
 //! ```
 //! with `A` the errors that a yaw about the centre, and a translation, of the map are, `G` the small covariance of the definition,
-//! and `s` the errors that a scale of one is: the positions from the centre. What the adjustment states of the scale, `sigma_s`
-//! comes on top: each measurement of a length has the same error of the baseline or of the accelerometer, however many there are.
+//! and `s` the errors of a map whose scale is off by one: its positions relative to the centre. `sigma_s` is added to what the adjustment
+//! states of the scale: every length is measured with the same error of the baseline or of the accelerometer, however many there are.
 //!
 //! Source: Baarda, "S-transformations and criterion matrices", 1973.
 
