@@ -61,9 +61,18 @@ python:
     DRIFTLESS_PROGRAMS="{{ justfile_directory() }}/target/{{ if profile == "dev" { "debug" } else { profile } }}" \
         "$venv/bin/python" -m pytest -q python/tests
 
-# All tests; those on recorded runs are listed as ignored. Tests that wait run beside those that compute.
+# All tests; those on recorded runs are listed as ignored. Tests that wait run beside those that compute, with cargo-nextest (where it is
+# installed) those of different programs, too.
 test:
-    RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((2 * {{ num_cpus() }}))}" cargo test --workspace --locked
+    #!/usr/bin/env bash
+    set -euo pipefail
+    threads="${RUST_TEST_THREADS:-$((2 * {{ num_cpus() }}))}"
+    if cargo nextest --version > /dev/null 2>&1; then
+        cargo nextest run --workspace --locked --no-fail-fast --test-threads "$threads"
+        cargo test --workspace --locked --doc
+    else
+        RUST_TEST_THREADS="$threads" cargo test --workspace --locked
+    fi
 
 # Every test there is, those that take minutes too, except measurements and those that need something that is not here
 nightly: ci clippy-slim

@@ -37,7 +37,7 @@ fn commands_that_take_long_end_at_a_signal_and_change_nothing() {
         "montecarlo --runs 1000",
     ] {
         let running = scratch.start(line);
-        std::thread::sleep(Duration::from_millis(300));
+        std::thread::sleep(Duration::from_millis(100));
         terminate(running, line);
         assert_eq!(crate::scratch::ids(&hall), before, "{line}");
     }

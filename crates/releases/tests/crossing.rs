@@ -55,6 +55,11 @@ async fn released(seed: u64, newest: usize) -> (ReleaseStore, [MapContents; 2]) 
     (store, versions)
 }
 
+/// Up to a second, most of them short: on a busy machine a change takes hundreds of milliseconds.
+fn pause_ms(seed: u64) -> u64 {
+    seed * seed / 10
+}
+
 /// Cleans after some milliseconds; an error has words.
 async fn clean_late(store: &ReleaseStore, pause_ms: u64) {
     let mut options = CleanOptions::default();
@@ -78,7 +83,7 @@ async fn successes<F: Future<Output = bool> + Send + 'static>(change: impl Fn(u6
 /// The segments of the former release are old when they are needed again.
 async fn roll_back_beside_clean(seed: u64) -> bool {
     let (store, _) = released(seed, 1).await;
-    let (rolled_back, ()) = tokio::join!(roll_back(&store, 1), clean_late(&store, seed));
+    let (rolled_back, ()) = tokio::join!(roll_back(&store, 1), clean_late(&store, pause_ms(seed)));
     let newest = store.newest().await.unwrap().unwrap();
     let fetched = fetch(&store, &newest, None).await;
     assert!(fetched.is_ok(), "{seed}: the newest release lacks something: {:?}", fetched.err());
@@ -91,7 +96,7 @@ async fn publish_beside_clean(seed: u64) -> bool {
     let (store, [_, second]) = released(seed, 0).await;
     let settings = PublishOptions::default();
     let publishing = publish(&store, second, &settings, |_| {});
-    let (published, ()) = tokio::join!(publishing, clean_late(&store, seed));
+    let (published, ()) = tokio::join!(publishing, clean_late(&store, pause_ms(seed)));
     let listed = store.numbers().await.unwrap();
     for &number in &listed {
         let release = store.release(number).await.unwrap();

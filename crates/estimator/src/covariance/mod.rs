@@ -14,6 +14,7 @@
 use crate::KeyframeId;
 use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::{Dense, Factorization};
+use crate::linear_algebra::dependence::Dependence;
 use crate::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use crate::propagation::{IMU_DIM, ImuMatrix};
 use crate::schmidt::HeldKeyframes;
@@ -102,22 +103,11 @@ impl JointCovariance {
         self.held.gather_rows(source);
     }
 
-    /// Adds `jacobian` (rows x 1) times the error at `of` to the error at `begin`.
-    pub fn add_dependence(&mut self, begin: usize, jacobian: &[f64], of: usize) {
-        let n = self.active.nrows();
-        for column in 0..n {
-            let own = self.active[(of, column)];
-            for (k, factor) in jacobian.iter().enumerate() {
-                self.active[(begin + k, column)] += factor * own;
-            }
-        }
-        for row in 0..n {
-            let own = self.active[(row, of)];
-            for (k, factor) in jacobian.iter().enumerate() {
-                self.active[(row, begin + k)] += factor * own;
-            }
-        }
-        self.held.add_dependence(begin, jacobian, of);
+    /// `P ← T P Tᵀ` for a `T` that adds multiples of some active errors to others.
+    pub fn add_dependences<const R: usize, const C: usize>(&mut self, dependences: &[Dependence<R, C>]) {
+        self.active.add_to_rows(dependences);
+        self.active.add_to_columns(dependences);
+        self.held.add_dependences(dependences);
     }
 
     /// Augments the active error state at `at` by `e = J e_C + n`, `n ~ N(0, noise)`.

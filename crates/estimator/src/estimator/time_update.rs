@@ -4,12 +4,13 @@ use super::Estimator;
 use crate::error::EstimatorError;
 use crate::first_estimates;
 use crate::health::Divergence;
+use crate::linear_algebra::dependence::Dependence;
 use crate::map_update::map_fix::ImuMotion;
 use crate::motion::AngularRate;
 use crate::propagation::{IMU_DIM, MotionEstimate, Propagation};
 use crate::rolling_shutter::motion_around::TimedPoses;
 use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
-use nalgebra::Vector3;
+use nalgebra::{Vector3, Vector6};
 use smallvec::SmallVec;
 use std::ops::Range;
 use types::ImuSample;
@@ -130,8 +131,8 @@ impl Estimator {
             let rotation =
                 state.local_from_imu.rotation * (self.angular_rate.gyroscope - state.gyroscope_bias);
             let velocity = state.velocity;
-            let motion = [rotation.x, rotation.y, rotation.z, velocity.x, velocity.y, velocity.z];
-            self.covariance.add_dependence(dim, &motion, IMU_DIM);
+            let motion = Vector6::new(rotation.x, rotation.y, rotation.z, velocity.x, velocity.y, velocity.z);
+            self.covariance.add_dependences(&[Dependence { begin: dim, of: IMU_DIM, jacobian: motion }]);
         }
         let pose = self.state.imu.local_from_imu;
         let motion = self.has_rolling_shutter().then(|| self.motion_around(stamp_ns, motion_before));

@@ -86,6 +86,20 @@ impl Dense {
         &mut self.values[column * self.rows..(column + 1) * self.rows]
     }
 
+    /// The numbers of one column, and those of another one to be changed.
+    ///
+    /// # Panics
+    /// If it is the same column.
+    pub fn column_and_mut(&mut self, read: usize, changed: usize) -> (&[f64], &mut [f64]) {
+        let rows = self.rows;
+        let (before, after) = self.values.split_at_mut(read.max(changed) * rows);
+        if read < changed {
+            (&before[read * rows..(read + 1) * rows], &mut after[..rows])
+        } else {
+            (&after[..rows], &mut before[changed * rows..(changed + 1) * rows])
+        }
+    }
+
     /// As a nalgebra view.
     pub fn view(&self) -> DMatrixView<'_, f64> {
         DMatrixView::from_slice(&self.values, self.rows, self.columns)

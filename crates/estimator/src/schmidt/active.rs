@@ -7,6 +7,7 @@
 
 use super::keyframe::{HeldKeyframe, KEYFRAME_DIM};
 use crate::linear_algebra::dense::Dense;
+use crate::linear_algebra::dependence::Dependence;
 use crate::measurement::{LinearizedMeasurement, StateBlocks};
 use crate::propagation::{IMU_DIM, ImuMatrix};
 use faer::linalg::matmul::matmul;
@@ -159,15 +160,9 @@ impl ActiveKeyframes {
         self.matrix.gather_rows(source, &mut self.spare);
     }
 
-    /// Adds `jacobian` times the row `of` to the rows from `begin` on.
-    pub fn add_dependence(&mut self, begin: usize, jacobian: &[f64], of: usize) {
-        for column in 0..self.matrix.ncols() {
-            let own = self.matrix.column_mut(column);
-            let number = own[of];
-            for (target, factor) in own[begin..].iter_mut().zip(jacobian) {
-                *target += factor * number;
-            }
-        }
+    /// `← T [R | X | M]` for a `T` that adds multiples of some rows to others.
+    pub fn add_dependences<const R: usize, const C: usize>(&mut self, dependences: &[Dependence<R, C>]) {
+        self.matrix.add_to_rows(dependences);
     }
 
     /// Inserts the rows `jacobian` times the rows of `blocks` at `at`.

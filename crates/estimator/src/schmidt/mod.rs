@@ -41,6 +41,7 @@ pub use keyframe::HeldKeyframe;
 
 use crate::KeyframeId;
 use crate::linear_algebra::dense::Dense;
+use crate::linear_algebra::dependence::Dependence;
 use crate::measurement::{LinearizedMeasurement, StateBlocks};
 use crate::propagation::ImuMatrix;
 use active::ActiveKeyframes;
@@ -323,9 +324,9 @@ impl HeldKeyframes {
         self.active.gather_rows(source);
     }
 
-    /// The error at `begin` grew by `jacobian` times the error at `of`.
-    pub fn add_dependence(&mut self, begin: usize, jacobian: &[f64], of: usize) {
-        self.active.add_dependence(begin, jacobian, of);
+    /// Some active errors grew by multiples of others.
+    pub fn add_dependences<const R: usize, const C: usize>(&mut self, dependences: &[Dependence<R, C>]) {
+        self.active.add_dependences(dependences);
     }
 
     /// The state was augmented at `at` by `jacobian` times its `blocks`, plus independent noise.

@@ -3,10 +3,11 @@
 
 use estimator::covariance::JointCovariance;
 use estimator::linear_algebra::dense::Dense;
+use estimator::linear_algebra::dependence::Dependence;
 use estimator::measurement::StateBlocks;
 use estimator::propagation::ImuMatrix;
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{DMatrix, Matrix6, Matrix6xX};
+use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6xX, SVector};
 use rand::{RngExt as _, rngs::StdRng};
 
 /// Size of the IMU state, which is never marginalized.
@@ -257,14 +258,31 @@ impl DenseFilter {
         self.transform(&select, &silent);
     }
 
-    /// The newest clone depends on one more number of the IMU.
+    /// The newest clone depends on one more number of the IMU, and all positions on the rotations of their poses.
     fn depend(&mut self, rng: &mut StdRng, joint: &mut JointCovariance) {
         let (begin, of) = (self.active - POSE, rng.random_range(POSE..FIXED));
-        let factors: Vec<f64> = (0..POSE).map(|_| rng.random_range(-0.1..0.1)).collect();
-        joint.add_dependence(begin, &factors, of);
+        let jacobian = SVector::<f64, POSE>::from_fn(|_, _| rng.random_range(-0.1..0.1));
+        self.add_dependences(joint, &[Dependence { begin, of, jacobian }]);
+        let clones = FIXED + LANDMARK * self.landmarks;
+        let positions: Vec<_> = (0..1)
+            .chain((clones..self.active).step_by(POSE))
+            .map(|of| {
+                let jacobian = Matrix3::from_fn(|_, _| rng.random_range(-0.1..0.1));
+                Dependence { begin: of + 3, of, jacobian }
+            })
+            .collect();
+        self.add_dependences(joint, &positions);
+    }
+
+    fn add_dependences<const R: usize, const C: usize>(
+        &mut self,
+        joint: &mut JointCovariance,
+        dependences: &[Dependence<R, C>],
+    ) {
+        joint.add_dependences(dependences);
         let mut full = DMatrix::identity(self.active, self.active);
-        for (k, factor) in factors.iter().enumerate() {
-            full[(begin + k, of)] = *factor;
+        for Dependence { begin, of, jacobian } in dependences {
+            full.fixed_view_mut::<R, C>(*begin, *of).copy_from(jacobian);
         }
         let silent = DMatrix::zeros(self.active, self.active);
         self.transform(&full, &silent);

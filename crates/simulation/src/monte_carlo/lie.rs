@@ -27,7 +27,7 @@ pub struct Lie {
 
 impl Lie {
     /// A lie of nothing.
-    pub fn from(from_s: f64) -> Self {
+    pub const fn from(from_s: f64) -> Self {
         Self { from_s, at_once_m: 0.0, each_m: 0.0, yaw_rad: 0.0, new_version: false }
     }
 
