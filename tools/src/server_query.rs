@@ -50,6 +50,14 @@ impl ServerArguments {
         })
     }
 
+    /// The extractor that a map was built with; empty where it is not known.
+    ///
+    /// # Errors
+    /// As [`ServerArguments::query_in_session`].
+    pub fn extractor_of(&self, map: &str) -> anyhow::Result<String> {
+        Ok(self.query_in_session(map, async |client, deadline| client.info(deadline).await)?.extractor)
+    }
+
     fn explain(&self, error: ClientError, map: &str) -> anyhow::Error {
         match error {
             ClientError::Refused(reply) => anyhow::anyhow!("the map server refused: {}", reply.message),

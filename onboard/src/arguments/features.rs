@@ -15,8 +15,9 @@ const MAX_EXTRACTORS: usize = 8;
 #[derive(clap::Args, Clone, Debug)]
 pub struct FeatureArguments {
     /// Extractor of features for place recognition: sift-1, edgepoint2-1 (learned), or one with weights to fetch (see `driftless weights`)
-    #[arg(long, value_name = "NAME", default_value = DEFAULT_EXTRACTOR, help_heading = HEADING)]
-    pub extractor: String,
+    /// [default: the map's, where a command reads the map or asks its server before it extracts; else sift-1]
+    #[arg(long, value_name = "NAME", help_heading = HEADING)]
+    pub extractor: Option<String>,
     /// Folder with the weights of learned extractors [default: where `driftless weights` puts them]
     #[arg(long, value_name = "DIR", help_heading = HEADING)]
     pub weights: Option<PathBuf>,
@@ -29,6 +30,15 @@ pub struct FeatureArguments {
 }
 
 impl FeatureArguments {
+    /// Where no extractor was given: the one that a map was built with.
+    ///
+    /// # Arguments
+    /// * `extractor`: as the map names it; empty where that is not known.
+    pub fn or_of_map(&self, extractor: &str) -> Self {
+        let of_map = Some(extractor).filter(|name| !name.is_empty()).map(str::to_owned);
+        Self { extractor: self.extractor.clone().or(of_map), ..self.clone() }
+    }
+
     /// Opens the extractor for the images of a map.
     ///
     /// # Errors
@@ -49,7 +59,8 @@ impl FeatureArguments {
         if self.max_features == 0 || self.max_features > most {
             bail!("--max-features {}: give a number from 1 to {most}", self.max_features);
         }
-        open(&self.extractor, self.weights.as_deref()).context("--extractor")
+        let name = self.extractor.as_deref().unwrap_or(DEFAULT_EXTRACTOR);
+        open(name, self.weights.as_deref()).context("--extractor")
     }
 
     /// Opens one extractor for each processor.
@@ -67,5 +78,29 @@ impl FeatureArguments {
     /// The file is not an image.
     pub fn read_mask(&self) -> Result<Option<GrayImage>> {
         self.mask.as_deref().map(GrayImage::read).transpose().context("--mask")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Program {
+        #[command(flatten)]
+        features: FeatureArguments,
+    }
+
+    #[test]
+    fn the_extractor_is_the_given_one_else_the_maps_else_the_default() {
+        let parse = |line: &str| Program::parse_from(line.split(' ')).features;
+        let name = |features: &FeatureArguments| features.open().unwrap().name().to_owned();
+        let given = parse("program --extractor sift-1");
+        assert_eq!(name(&given.or_of_map("edgepoint2-1")), "sift-1");
+        let silent = parse("program");
+        assert_eq!(name(&silent.or_of_map("edgepoint2-1")), "edgepoint2-1");
+        assert_eq!(name(&silent.or_of_map("")), DEFAULT_EXTRACTOR);
+        assert_eq!(name(&silent), DEFAULT_EXTRACTOR);
     }
 }

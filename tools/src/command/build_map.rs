@@ -147,7 +147,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let mut show = |stage: Stage, done: usize, all: usize| bar.show(stage, done, all);
     let cameras = if args.mono { 1 } else { sequence.cameras.len() };
     let from_images = sequence.has_images() && !sequence.has_features();
-    let mut extractors = if from_images { args.features.open_several()? } else { Vec::new() };
+    let features = args.features.or_of_map(stored.as_ref().map_or("", |map| &map.info.extractor));
+    let mut extractors = if from_images { features.open_several()? } else { Vec::new() };
     let mask = args.features.read_mask()?;
     let (contents, mut report) = if let Some(references) = references {
         let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);

@@ -106,8 +106,8 @@ pub fn run(args: &Args) -> Result<()> {
 /// keyframe that the map does not have; a recording that is not the map's; features of another extractor than the
 /// map's; a picture that cannot be written.
 pub fn inspect(args: &Args) -> Result<Report> {
-    let query = read_query(args)?;
     let map = load_map(&args.map)?;
+    let query = read_query(args, &args.features.or_of_map(&map.info().extractor))?;
     let (request, options) = (query.request(), RecognitionOptions::default());
     let inspection = map.inspect(&request, &options)?;
     let candidates = &inspection.keyframes;
@@ -140,14 +140,14 @@ pub fn inspect(args: &Args) -> Result<Report> {
     Ok(Report { query: query.name, features, map: map_name, inspection, shown, picture })
 }
 
-fn read_query(args: &Args) -> Result<QueryImage> {
+fn read_query(args: &Args, features: &FeatureArguments) -> Result<QueryImage> {
     let query = args.query.display();
     if is_recording(&args.query) {
         let Some(at_s) = args.at else { bail!("{query} is a recording: say when in it with --at SECONDS") };
         if args.camera.is_some() {
             bail!("--camera: the recording {query} states its own camera");
         }
-        QueryImage::from_recording(&args.query, &args.calibration.files(), at_s, &args.features)
+        QueryImage::from_recording(&args.query, &args.calibration.files(), at_s, features)
     } else {
         if args.at.is_some() {
             bail!("--at: {query} is no recording, which is a folder with mav0/cam0 in it or a bag");
@@ -155,7 +155,7 @@ fn read_query(args: &Args) -> Result<QueryImage> {
         let Some(camera) = &args.camera else {
             bail!("{query}: say which camera took it with --camera YAML");
         };
-        QueryImage::from_file(&args.query, camera, &args.features)
+        QueryImage::from_file(&args.query, camera, features)
     }
 }
 

@@ -43,7 +43,11 @@ pub(super) const NOT_RECOGNIZED: i32 = 2;
 /// An image, a camera or weights that cannot be read, an image of another size than the camera's, no server, a map that
 /// it does not have, features that are not of the map's extractor.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let query = QueryImage::from_file(&args.image, &args.camera, &args.features)?;
+    let features = match &args.features.extractor {
+        Some(_) => args.features.clone(),
+        None => args.features.or_of_map(&args.server.extractor_of(&args.map)?),
+    };
+    let query = QueryImage::from_file(&args.image, &args.camera, &features)?;
     let request = query.request();
     let reply = args
         .server

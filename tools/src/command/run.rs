@@ -61,6 +61,9 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(imu_from_base) = recording.imu_from_base(&robot.body.frames.base_link) {
         robot.body.imu_from_base = imu_from_base;
     }
+    if let Some((_, map)) = maps.first() {
+        robot.features = robot.features.or_of_map(&map.info().extractor);
+    }
     robot.gravity_in_own_frame = maps.first().and_then(|(_, map)| gravity_in_own_frame(map));
     let has_map = !maps.is_empty();
     let mut server = (has_map || args.open).then(|| LocalServer::start(maps)).transpose()?;
