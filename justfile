@@ -83,6 +83,14 @@ package:
     cargo package --workspace --locked --no-verify \
         --exclude driftless-tests --exclude driftless-testing --exclude driftless-benches --exclude driftless-fuzz
 
+# The files of a release, in target/dist (needs cargo-zigbuild, cargo-deb, cargo-cyclonedx)
+release *targets:
+    deploy/release.sh {{ targets }}
+
+# Installs the packages of target/dist in clean roots, and runs them (needs root, debootstrap, qemu-user-static)
+check-release *architectures:
+    deploy/check_release.sh {{ architectures }}
+
 # Licences, advisories, sources (needs cargo-deny)
 deny:
     cargo deny --locked check

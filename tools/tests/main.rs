@@ -24,6 +24,8 @@ mod kills;
 mod links;
 #[cfg(unix)]
 mod live_page;
+#[cfg(feature = "manual")]
+mod manual;
 mod maps;
 mod old_spellings;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]

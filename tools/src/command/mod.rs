@@ -20,9 +20,17 @@ pub mod import_map;
 #[cfg(feature = "bags")]
 pub mod info;
 pub mod inspect;
-#[cfg(not(all(feature = "bags", feature = "releases", feature = "ros", feature = "secure")))]
+#[cfg(not(all(
+    feature = "bags",
+    feature = "manual",
+    feature = "releases",
+    feature = "ros",
+    feature = "secure"
+)))]
 mod left_out;
 pub mod localize;
+#[cfg(feature = "manual")]
+pub mod manual;
 pub mod map_info;
 pub mod merge_maps;
 pub mod montecarlo;
@@ -62,7 +70,7 @@ macro_rules! left_out {
         }
     )+};
 }
-left_out!(convert: "bags", fleet: "secure", info: "bags", play: "ros", publish_map: "releases");
+left_out!(convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases");
 
 /// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
@@ -131,6 +139,8 @@ pub enum Command {
     Fleet(fleet::Args),
     /// Install the weights of feature networks, or list the installed ones
     Weights(weights::Args),
+    /// Write man pages and shell completions of the programs
+    Manual(manual::Args),
 }
 
 impl Command {
@@ -172,6 +182,7 @@ impl Command {
             Self::View(args) => view::run(&args),
             Self::Fleet(args) => fleet::run(args),
             Self::Weights(args) => weights::run(args),
+            Self::Manual(args) => manual::run(&args),
         }
     }
 }
