@@ -1,5 +1,8 @@
 //! Metrics of server and robot against what both report otherwise.
 
+use std::collections::BTreeSet;
+use std::path::Path;
+
 use onboard::run_robot;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::registry::Registry;
@@ -49,4 +52,23 @@ fn metrics_count_what_the_summary_and_the_statistics_count() {
     assert_eq!(value(&of_robot, r#"robot_localization{state="lost"}"#), 0);
     let health = switches.metrics.health();
     assert!(health.is_well && health.reason.contains("the map corrected"), "{health:?}");
+
+    for (file, least) in [("prometheus/alerts.yml", 6), ("grafana/driftless.json", 10)] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy").join(file);
+        let names = names_in(&std::fs::read_to_string(path).unwrap());
+        assert!(names.len() >= least, "{file}: {names:?}");
+        for name in names {
+            let is_given_out = |line: &str| {
+                line.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with(['{', ' ']))
+            };
+            assert!(of_server.lines().chain(of_robot.lines()).any(is_given_out), "{file}: {name}");
+        }
+    }
+}
+
+/// Names of metrics, without the prefix of all.
+fn names_in(text: &str) -> BTreeSet<String> {
+    let is_part = |letter: char| letter.is_ascii_lowercase() || letter == '_';
+    let names = text.split("driftless_").skip(1);
+    names.map(|rest| rest[..rest.find(|letter| !is_part(letter)).unwrap_or(rest.len())].to_owned()).collect()
 }
