@@ -1,38 +1,42 @@
-//! Records of a map's database.
+//! Segments of a map and their records.
 
-use map::store::record::{
-    CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError, unseal,
-};
+use map::file::Segment;
+use map::file::record::{Element, key_bytes, unseal};
+use map::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
 
-/// Key of the record; any, since the checksum is made for it.
-const KEY: &[u8] = &[0, 0, 0, 0, 0, 0, 0, 1];
+/// The first line of a segment.
+const MAGIC: &[u8] = b"driftless segment 4\n";
 
-/// Records of every table: the bytes as they are, and as the payload of an intact envelope, so that mutations get past
-/// the checksum. The first byte is the record's version.
+/// Records of every kind: the bytes as they are, and as the payload of an intact envelope, so that mutations get past
+/// the checksum; and segments, whole ones and one record after the other. The first byte is the record's version.
 pub fn store_records(data: &[u8]) {
-    read_all(|_| data.to_vec());
+    let _ = Segment::decode(data);
+    let _ = Segment::decode(&[MAGIC, data].concat());
+    read::<Keyframe>(data);
+    read::<Landmark>(data);
+    read::<KeyframeCrossCovariance>(data);
+    read::<CommonError>(data);
+    read::<KeyframeAliases>(data);
+}
+
+fn read<E: Element>(data: &[u8]) {
+    let mut key = E::Key::default();
+    // Any, since the checksum is made for it; of a pair, the second is larger.
+    key.as_mut().iter_mut().zip(1..).for_each(|(id, number)| *id = number);
+    let (table, bytes) = (E::TABLE.name(), key_bytes(key.as_ref()));
+    let of = |sealed: &[u8]| {
+        let record: Result<E::Record, _> = unseal(table, &bytes, sealed);
+        let _ = record.and_then(|record| E::from_record(key, record));
+    };
+    of(data);
     let Some((&version, payload)) = data.split_first() else { return };
-    read_all(|table| sealed(table, version, payload));
+    of(&sealed(table, &bytes, version, payload));
 }
 
-fn read_all(bytes: impl Fn(&str) -> Vec<u8>) {
-    let _ = unseal::<InfoRecord>("info", KEY, &bytes("info")).and_then(InfoRecord::into_info);
-    let keyframe = unseal::<KeyframeRecord>("keyframes", KEY, &bytes("keyframes"));
-    let _ = keyframe.and_then(|record| record.into_keyframe(1));
-    let _ =
-        unseal::<LandmarkRecord>("landmarks", KEY, &bytes("landmarks")).map(|record| record.into_landmark(1));
-    let cross: Result<CrossCovarianceRecord, RecordError> =
-        unseal("cross_covariances", KEY, &bytes("cross_covariances"));
-    let _ = cross.map(|record| record.into_cross_covariance(1, 2));
-    let common: Result<CommonErrorRecord, RecordError> =
-        unseal("common_errors", KEY, &bytes("common_errors"));
-    let _ = common.map(|record| record.into_common_error(1));
-}
-
-fn sealed(table: &str, version: u8, payload: &[u8]) -> Vec<u8> {
+fn sealed(table: &str, key: &[u8], version: u8, payload: &[u8]) -> Vec<u8> {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(table.as_bytes());
-    hasher.update(KEY);
+    hasher.update(key);
     hasher.update(&[version]);
     hasher.update(payload);
     let mut bytes = vec![version];

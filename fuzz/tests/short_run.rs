@@ -4,7 +4,8 @@
 
 use bags::{BagWriter, Format, MessageType, OfferedQos};
 use driftless_fuzz::{TARGETS, bincode_payloads};
-use map::store::record::{InfoRecord, KeyframeRecord, LandmarkRecord, seal};
+use map::file::SegmentWriter;
+use map::file::record::{Element as _, seal};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -142,18 +143,21 @@ fn of_kind(folder: &Path, is_kind: impl Fn(&Path) -> bool) -> Vec<Vec<u8>> {
     files.iter().map(|file| std::fs::read(file).unwrap()).collect()
 }
 
-/// One record of each table: its version and its payload, without the checksum between them.
+/// Records, each its version and its payload without the checksum between them, and a segment.
 fn records() -> Vec<Vec<u8>> {
     let options = PlaceOptions { keyframes: 3, landmarks: 60, ..PlaceOptions::default() };
     let place = Place::new(&options);
     let map = &place.map;
-    let key = [0; 8];
     let sealed = [
-        seal("info", &key, &InfoRecord::new(&map.info)).unwrap(),
-        seal("keyframes", &key, &KeyframeRecord::new(&map.keyframes[0])).unwrap(),
-        seal("landmarks", &key, &LandmarkRecord::new(&map.landmarks[0])).unwrap(),
+        seal("keyframes", &[], &map.keyframes[0].to_record()).unwrap(),
+        seal("landmarks", &[], &map.landmarks[0].to_record()).unwrap(),
+        seal("cross_covariances", &[], &map.cross_covariances[0].to_record()).unwrap(),
     ];
-    sealed.iter().map(|bytes| [&bytes[..1], &bytes[5..]].concat()).collect()
+    let mut segment = SegmentWriter::default();
+    segment.add(&map.keyframes[0]).unwrap();
+    segment.add(&map.landmarks[0]).unwrap();
+    let records = sealed.iter().map(|bytes| [&bytes[..1], &bytes[5..]].concat());
+    records.chain([segment.finish()]).collect()
 }
 
 /// One to four changes: a flipped bit, a cut, a repeated part, an overwritten number, a piece of another seed.

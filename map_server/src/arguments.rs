@@ -66,6 +66,11 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
 
+    /// Folder of this server's database: which version of each map it served last, so that an older one is noticed after a
+    /// restart. Each server has its own [default: driftless/map_server in the user's folder of states].
+    #[arg(long, value_name = "DIR")]
+    pub state: Option<PathBuf>,
+
     /// Look for new releases after this time, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
     pub watch_releases: u64,

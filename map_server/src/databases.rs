@@ -1,7 +1,7 @@
 //! The databases and releases of the served maps: loaded when the server starts, and again on request.
 //!
-//! A copy of a database is read, so another program can write the next version of the map to it meanwhile. If the new
-//! version cannot be loaded, the previous one continues to be served.
+//! Another program can write the next version of a map meanwhile. If the new version cannot be loaded, the previous one continues
+//! to be served.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -93,12 +93,8 @@ impl MapSource {
             Origin::Database(database) => {
                 let (stored, landmarks) = store::open_map(database)?;
                 let info = &stored.contents.info;
-                if (info.version, info.identity) == (served, Some(identity)) {
-                    landmarks.close()?;
-                    None
-                } else {
-                    Some(LoadedMap::load(stored, landmarks)?)
-                }
+                let is_served = (info.version, info.identity) == (served, Some(identity));
+                if is_served { None } else { Some(LoadedMap::load(stored, landmarks)?) }
             }
         };
         let Some(map) = map else { return Ok(None) };

@@ -8,6 +8,7 @@ use zenoh::Session;
 use crate::cells::{CellDrawings, CellMemory};
 use crate::metrics::ServerMetrics;
 use crate::queue::Queue;
+use crate::state::ServerState;
 
 /// What a map that is served by cells needs of its server.
 #[derive(Clone)]
@@ -21,4 +22,5 @@ pub(crate) struct Host {
     pub(crate) memory: Arc<CellMemory>,
     /// Where a page draws them.
     pub(crate) drawings: Option<Arc<CellDrawings>>,
+    pub(crate) state: Option<Arc<ServerState>>,
 }

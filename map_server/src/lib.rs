@@ -29,6 +29,7 @@
 //! | `durations` | how long queries take, as counts in buckets |
 //! | [`show`], [`images`] | the live map in the browser, and images that people give to it |
 //! | `change` | differences between two versions of a map |
+//! | [`state`] | what a server keeps from one run to the next: which version it serves |
 //!
 //! # Requirements on clients
 //! `driftless-client` meets them:
@@ -71,6 +72,7 @@ pub mod server;
 pub mod show;
 mod show_cells;
 mod show_statistics;
+pub mod state;
 mod workers;
 
 pub use cells::{CellChoice, CellService, CellServiceOptions};
@@ -83,3 +85,4 @@ pub use reports::{AnsweredQuery, QueryReport};
 pub use served_map::ServedMap;
 pub use server::MapServer;
 pub use show::Show;
+pub use state::ServerState;

@@ -10,6 +10,7 @@ mod status_line;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -19,7 +20,8 @@ use databases::MapSource;
 use map_server::arguments::Arguments;
 use map_server::byte_size::ByteSize;
 use map_server::map_argument::MapArgument;
-use map_server::{CellChoice, CellService, CellServiceOptions, MapServer, ServerOptions, Show};
+use map_server::state::SledStore;
+use map_server::{CellChoice, CellService, CellServiceOptions, MapServer, ServerOptions, ServerState, Show};
 use monitoring::{Health, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
 use released::open_store;
@@ -97,6 +99,7 @@ async fn serve() -> anyhow::Result<()> {
     }
     options.cell_memory = arguments.memory.map(|ByteSize(bytes)| bytes);
     options.draws_cells = arguments.http.is_some();
+    options.state = open_state(arguments.state.as_deref()).await;
     let server = MapServer::start(session.clone(), maps, options).await?;
     let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
     let monitoring = match arguments.monitoring {
@@ -210,9 +213,30 @@ async fn serve_cells(
 
 /// The user's cache folder, or where there is no user the folder for temporary files.
 fn default_cache() -> PathBuf {
-    let named = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let folder = named("XDG_CACHE_HOME").or_else(|| named("HOME").map(|home| home.join(".cache")));
+    let folder = user_folder("XDG_CACHE_HOME", ".cache");
     folder.unwrap_or_else(std::env::temp_dir).join("driftless/releases")
+}
+
+/// A folder of the user.
+///
+/// # Arguments
+/// * `variable`: names it, where it is set.
+/// * `in_home`: where it is otherwise.
+fn user_folder(variable: &str, in_home: &str) -> Option<PathBuf> {
+    let named = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    named(variable).or_else(|| named("HOME").map(|home| home.join(in_home)))
+}
+
+/// Opens the database of this server; a server without one serves all the same.
+async fn open_state(folder: Option<&Path>) -> Option<Arc<ServerState>> {
+    let in_user =
+        || user_folder("XDG_STATE_HOME", ".local/state").map(|user| user.join("driftless/map_server"));
+    let folder = folder.map(Path::to_owned).or_else(in_user)?;
+    // A thread of its own: sled panics on some damaged files.
+    let opening = tokio::task::spawn_blocking(move || SledStore::open(&folder));
+    let opened = opening.await.map_err(anyhow::Error::from).and_then(|opened| Ok(opened?));
+    let state = opened.inspect_err(|error| tracing::warn!("nothing is kept for the next start: {error:#}"));
+    Some(Arc::new(ServerState::new(state.ok()?)))
 }
 
 /// Serves the metrics of a server.

@@ -1,6 +1,10 @@
 //! Settings of a server.
 
+use std::sync::Arc;
+
 use recognition::RecognitionOptions;
+
+use crate::state::ServerState;
 
 /// Settings of a server.
 ///
@@ -9,7 +13,7 @@ use recognition::RecognitionOptions;
 /// options.name = Some("north".into());
 /// options.workers = 4;
 /// ```
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone)]
 #[non_exhaustive]
 pub struct ServerOptions {
     /// Name of the server in its liveliness key. `None`: the id of its Zenoh session.
@@ -27,10 +31,12 @@ pub struct ServerOptions {
     pub cell_memory: Option<usize>,
     /// Whether maps that are served by cells are drawn by [`Show`](crate::Show); what is drawn takes at most some 60 MB a map.
     pub draws_cells: bool,
+    /// Where the server notes which version of each map it serves; `None`: nowhere.
+    pub state: Option<Arc<ServerState>>,
 }
 
 impl Default for ServerOptions {
-    /// One worker per processor; 64 waiting queries of 64 MiB together; all cells in memory, none drawn.
+    /// One worker per processor; 64 waiting queries of 64 MiB together; all cells in memory, none drawn; no state.
     fn default() -> ServerOptions {
         ServerOptions {
             name: None,
@@ -40,6 +46,7 @@ impl Default for ServerOptions {
             queue_bytes: 64 << 20,
             cell_memory: None,
             draws_cells: false,
+            state: None,
         }
     }
 }

@@ -50,7 +50,7 @@ impl ReleasedMap {
     /// The store cannot be read, or what it has is damaged.
     pub fn newer(&self, served: u64, identity: MapIdentity) -> anyhow::Result<Option<LoadedMap>> {
         let newest = Handle::current().block_on(self.source.store.newest())?;
-        let is_served = |release: &Release| (release.map.version, release.map.identity) == (served, identity);
+        let is_served = |release: &Release| (release.map.version, release.identity()) == (served, identity);
         newest.filter(|release| !is_served(release)).map(|release| self.load_release(&release)).transpose()
     }
 

@@ -26,6 +26,7 @@ use crate::queue::{Job, Queue, Target};
 use crate::reports::{QueryReport, ReportSender};
 use crate::senders::Senders;
 use crate::served_map::{MapSlot, ServedMap};
+use crate::state::{ServerState, note_served};
 use crate::workers::Workers;
 
 /// How long [`MapServer::stop`] waits for queries that are being answered.
@@ -77,6 +78,7 @@ pub struct MapServer {
     recognition: RecognitionOptions,
     cell_memory: Arc<CellMemory>,
     drawings: Option<Arc<CellDrawings>>,
+    state: Option<Arc<ServerState>>,
     workers: Workers,
 }
 
@@ -142,6 +144,10 @@ impl MapServer {
             maps = maps.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
             "serving"
         );
+        for map in maps.values() {
+            let loaded = map.current();
+            note_served(options.state.as_ref(), &map.name, loaded.identity(), loaded.info().version).await;
+        }
         let recognition = options.recognition;
         let cell_memory = CellMemory::new(options.cell_memory, Arc::clone(&metrics));
         Ok(MapServer {
@@ -157,6 +163,7 @@ impl MapServer {
             recognition,
             cell_memory,
             drawings: options.draws_cells.then(CellDrawings::new),
+            state: options.state,
             workers,
         })
     }
@@ -171,6 +178,7 @@ impl MapServer {
             options: self.recognition.clone(),
             memory: Arc::clone(&self.cell_memory),
             drawings: self.drawings.clone(),
+            state: self.state.clone(),
         }
     }
 
@@ -246,6 +254,7 @@ impl MapServer {
         }
         let previous = served.replace(Arc::clone(&map));
         self.metrics.note_map(name, map.keyframe_count(), map.info().version);
+        note_served(self.state.as_ref(), name, given, version).await;
         let mut change = change::between(name, &previous, &map);
         change.stated_change = stated_change.or(change.stated_change).filter(|size| size.validate().is_ok());
         tracing::info!(

@@ -10,3 +10,4 @@ mod page_image;
 #[cfg(unix)]
 mod program;
 mod serve;
+mod state;

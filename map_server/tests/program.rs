@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use client::{SessionOptions, open_session};
@@ -13,8 +14,14 @@ use releases::{PublishOptions, ReleaseStore, publish};
 use testing::{Place, PlaceOptions};
 use zenoh::Session;
 
+/// The program, with a state of its own.
 fn program() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_map_server"))
+    static STARTED: AtomicUsize = AtomicUsize::new(0);
+    let number = STARTED.fetch_add(1, Ordering::Relaxed);
+    let state = format!("{}/state-{}-{number}", env!("CARGO_TARGET_TMPDIR"), std::process::id());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_map_server"));
+    command.env("XDG_STATE_HOME", state);
+    command
 }
 
 fn run(arguments: &[&str]) -> (Output, String) {
@@ -295,11 +302,11 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     std::fs::rename(&former, &path).unwrap();
 
     // A damaged one.
-    let database = path.join("version-1/db");
+    let database = path.join("version-1.segments");
     let whole = std::fs::read(&database).unwrap();
     std::fs::write(&database, &whole[..whole.len() * 99 / 100]).unwrap();
     signal(&server, "-HUP");
-    says("version-1/db has", 1).await;
+    says("version-1.segments has", 1).await;
     says("the previous version continues to be served", 3).await;
     assert_eq!(version().await, 1);
     std::fs::write(&database, &whole).unwrap();
@@ -442,4 +449,51 @@ fn a_folder_of_releases_is_served_like_its_url_and_a_database_stays_one() {
     assert!(!std::fs::read_to_string(directory.path().join("log")).unwrap().contains("fetched a release"));
     let (output, error) = run(&["--map", &map, "--cells", "auto"]);
     assert!(!output.status.success() && error.contains("NAME=FOLDER"), "{error}");
+}
+
+#[test]
+fn a_restarted_server_says_where_a_map_is_older_than_before_or_another_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let [path, backup, other] = ["hall.db", "backup.db", "other.db"].map(|name| directory.path().join(name));
+    stored_map(&path);
+    testing::copy_folder(&path, &backup);
+    let contents = store::load_map(&path).unwrap().contents;
+    store::save_map(&path, &contents, true).unwrap();
+    let place =
+        Place::new(&PlaceOptions { seed: 2, keyframes: 5, landmarks: 100, ..PlaceOptions::default() });
+    store::save_map(&other, &place.map, false).unwrap();
+    let state = directory.path().join("state");
+    let log_of = |map: &Path| {
+        let log = directory.path().join("log");
+        let mut command = program();
+        command.args(["--map", &format!("hall={}", map.display()), "--listen", "tcp/127.0.0.1:0"]);
+        command.arg("--state").arg(&state).stderr(Stdio::from(std::fs::File::create(&log).unwrap()));
+        let mut server = Running(command.spawn().unwrap());
+        let read = || std::fs::read_to_string(&log).unwrap();
+        while !read().contains("ready") {
+            assert!(server.0.try_wait().unwrap().is_none(), "{}", read());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        // SIGKILL: what was noted is there all the same.
+        drop(server);
+        read()
+    };
+    let [older, another] = ["is older than the version that this server served before", "is not the one"];
+    let says = |map: &Path| {
+        let log = log_of(map);
+        [older, another].map(|what| log.contains(what))
+    };
+    assert_eq!(says(&path), [false, false]);
+    assert_eq!(says(&path), [false, false]);
+    assert_eq!(says(&backup), [true, false]);
+    assert_eq!(says(&backup), [false, false], "it was said");
+    assert_eq!(says(&other), [false, true]);
+    // A state that cannot be read keeps nobody from being served.
+    std::fs::remove_dir_all(&state).unwrap();
+    std::fs::write(&state, "no folder").unwrap();
+    assert!(log_of(&path).contains("nothing is kept for the next start"));
+    std::fs::remove_file(&state).unwrap();
+    std::fs::create_dir(&state).unwrap();
+    std::fs::write(state.join("db"), vec![7; 3000]).unwrap();
+    assert!(log_of(&path).contains("nothing is kept for the next start"));
 }

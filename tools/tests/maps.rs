@@ -68,7 +68,7 @@ fn damaged_and_unfinished_maps_are_refused_in_words_and_made_anew() {
     let again = complaint_of(&import);
     assert!(again.contains("hall.db exists already") && again.contains("--force"), "{again}");
 
-    let database = to.join("version-1/db");
+    let database = to.join("version-1.segments");
     let mut bytes = std::fs::read(&database).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 4;
@@ -79,7 +79,7 @@ fn damaged_and_unfinished_maps_are_refused_in_words_and_made_anew() {
         vec!["export-map", "--map", text(&to), "--to", text(&exported)],
     ] {
         let said = complaint_of(&command);
-        assert!(said.contains("version-1/db") && said.contains("backup"), "{said}");
+        assert!(said.contains("version-1.segments") && said.contains("backup"), "{said}");
         assert!(!said.contains("panicked"), "{said}");
     }
     assert!(!exported.exists());

@@ -8,7 +8,8 @@
 //! |---|---|
 //! | [`model`] | keyframes, landmarks, observations, cross-covariances, common errors |
 //! | [`contents`] | a whole map in memory and its invariants |
-//! | [`store`] | maps in databases: the [`MapStore`] trait, and its implementation on sled |
+//! | [`file`](mod@file) | the bytes of a map: records, segments, manifest |
+//! | [`store`] | maps in folders: written, replaced and read |
 //! | [`edit`] | taking keyframes and landmarks out |
 //! | [`difference`] | what counts as a change between two versions |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -16,12 +17,14 @@
 pub mod contents;
 pub mod difference;
 pub mod edit;
+pub mod file;
 pub mod model;
 pub mod store;
 
 pub use contents::{ContentsError, MapContents};
+pub use file::record::RecordError;
 pub use model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
     Observation,
 };
-pub use store::{MapStore, RecordError, STORE_SCHEMA, SavedMap, StoreError, StoredMap};
+pub use store::{STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -15,8 +15,9 @@ use serde::{Deserialize, Serialize};
 /// pixel.
 pub const DEFAULT_SIGMA_PX: f64 = 1.0;
 
-/// What applies to the map as a whole.
+/// What applies to the map as a whole; manifests have it under these names.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct MapMetadata {
     /// A name for display; the name under which a server serves the map is given to the server.
     pub name: String,

@@ -39,7 +39,7 @@ fn pipes_and_devices_in_the_folder_of_a_map_are_named_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("hall.db");
     save_map(&path, &map(), false).unwrap();
-    let file = path.join("version-1").join("db");
+    let file = path.join("version-1.segments");
     for kind in ["pipe", "device"] {
         std::fs::remove_file(&file).unwrap();
         if kind == "pipe" {
@@ -49,7 +49,7 @@ fn pipes_and_devices_in_the_folder_of_a_map_are_named_at_once() {
         }
         let begin = Instant::now();
         let error = with_causes(&load_map(&path).unwrap_err());
-        assert!(error.contains(kind) && error.contains("version-1/db"), "{error}");
+        assert!(error.contains(kind) && error.contains("version-1.segments"), "{error}");
         assert!(begin.elapsed() < Duration::from_secs(1));
     }
 }

@@ -29,7 +29,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 /// Damages one file in one way, and says how.
 fn damage(folder: &Path, rng: &mut StdRng) -> String {
     let files = files(folder);
-    // The database has most of the bytes, the manifest most of the meaning.
+    // The segments have most of the bytes, the manifest most of the meaning.
     let file = &files[rng.random_range(0..files.len())];
     let mut bytes = std::fs::read(file).unwrap();
     let name = file.strip_prefix(folder).unwrap().display().to_string();
@@ -140,11 +140,11 @@ fn a_damaged_map_says_what_and_what_to_do() {
     let path = directory.path().join("hall.db");
     let place = Place::new(&PlaceOptions { keyframes: 4, landmarks: 40, ..PlaceOptions::default() });
     store::save_map(&path, &place.map, false).unwrap();
-    let file = path.join("version-1/db");
+    let file = path.join("version-1.segments");
     let bytes = std::fs::read(&file).unwrap();
     std::fs::write(&file, &bytes[..bytes.len() * 99 / 100]).unwrap();
     let said = store::load_map(&path).unwrap_err().to_string();
-    for part in ["hall.db", "version-1/db", "bytes", "backup", "again"] {
+    for part in ["hall.db", "version-1.segments", "bytes", "backup", "again"] {
         assert!(said.contains(part), "{part}: {said}");
     }
     // A damaged map is replaced by the next version of the same map.

@@ -22,8 +22,8 @@ fn everything() -> MapContents {
 }
 
 #[test]
-fn a_map_of_schema_7_is_read() {
-    let path = file("schema_7.db");
+fn a_map_of_schema_8_is_read() {
+    let path = file("schema_8.db");
     if std::env::var_os(UPDATE).is_some() {
         let _ = std::fs::remove_dir_all(&path);
         store::save_map(&path, &everything(), false).unwrap();

@@ -7,6 +7,8 @@ mod crossing;
 mod damage;
 mod edit;
 mod formats;
+mod hostile;
 #[cfg(unix)]
 mod interrupted;
+mod segments;
 mod store;

@@ -121,7 +121,7 @@ fn what_is_no_longer_in_a_map_is_gone_after_its_replacement() {
     let mut names: Vec<_> =
         std::fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     names.sort();
-    assert_eq!(names, ["lock", "manifest.json", "version-2"]);
+    assert_eq!(names, ["lock", "manifest.json", "version-2.segments"]);
 }
 
 #[test]
@@ -206,15 +206,9 @@ fn opening_what_is_not_there_is_an_error_and_makes_nothing() {
     assert!(matches!(store::load_map(&other), Err(StoreError::NotAMap { .. })));
     assert!(matches!(store::save_map(&other, &small_place(8), true), Err(StoreError::NotAMap { .. })));
     assert!(matches!(store::save_map(&other, &small_place(8), false), Err(StoreError::Exists { .. })));
-    drop(sled::open(directory.path().join("database")).unwrap());
-    let foreign = loop {
-        match store::load_map(directory.path().join("database")) {
-            // sled's threads let go of it a moment later.
-            Err(StoreError::InUse { .. }) => {}
-            result => break result,
-        }
-    };
-    assert!(matches!(foreign, Err(StoreError::NotAMap { .. })));
+    let file = directory.path().join("map.zip");
+    std::fs::write(&file, b"no map").unwrap();
+    assert!(matches!(store::load_map(&file), Err(StoreError::NotAMap { .. })));
 }
 
 #[test]
@@ -236,9 +230,10 @@ fn a_newer_schema_is_refused_with_both_numbers() {
     replaced(&path, &small_place(9));
     let manifest = path.join("manifest.json");
     let text = std::fs::read_to_string(&manifest).unwrap();
-    std::fs::write(&manifest, text.replace("\"schema\": 7", "\"schema\": 8, \"unknown\": 1")).unwrap();
+    let written = format!("\"schema\": {}", map::STORE_SCHEMA);
+    std::fs::write(&manifest, text.replace(&written, "\"schema\": 9, \"unknown\": 1")).unwrap();
     let error = store::load_map(&path).unwrap_err();
-    assert!(matches!(error, StoreError::Schema { found: 8, expected: 7, .. }), "{error}");
+    assert!(matches!(error, StoreError::Schema { found: 9, expected: map::STORE_SCHEMA, .. }), "{error}");
     assert!(matches!(store::save_map(&path, &small_place(9), true), Err(StoreError::Schema { .. })));
 }
 
@@ -273,7 +268,7 @@ fn a_map_can_be_replaced_while_the_landmarks_of_the_former_are_read() {
     let mut read_now = Vec::new();
     landmarks.read(|landmark| read_now.push(landmark)).unwrap();
     assert_eq!(read_now, former.landmarks);
-    store::open_map(&path).unwrap().1.close().unwrap();
+    assert_eq!(store::open_map(&path).unwrap().0.contents.info.version, 2);
     assert_ne!(read(&path).landmarks, former.landmarks);
 }
 
@@ -292,8 +287,43 @@ fn a_damaged_number_of_the_version_never_takes_the_map_away() {
             .unwrap();
         let error = store::load_map(&path).unwrap_err().to_string();
         assert!(error.contains("damaged"), "{damaged}: {error}");
-        assert!(path.join("version-3").is_dir());
+        assert!(path.join("version-3.segments").is_file());
     }
     // The number of a version does not come again.
     assert_eq!(store::save_map(&path, &place(4), true).unwrap().version, 4);
+}
+
+#[test]
+fn a_map_that_is_cut_into_many_segments_is_read_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("map");
+    let options = PlaceOptions { seed: 12, keyframes: 6, landmarks: 160, ..PlaceOptions::default() };
+    let mut contents = Place::new(&options).map;
+    // So large that neither keyframes nor landmarks fit in one segment.
+    contents.info.descriptor_width = 60_000;
+    for (number, observation) in
+        contents.landmarks.iter_mut().flat_map(|landmark| &mut landmark.observations).enumerate()
+    {
+        observation.descriptor = vec![number as u8; 60_000];
+    }
+    for keyframe in &mut contents.keyframes {
+        let descriptors =
+            Descriptors { kind: DescriptorKind::Binary, width: 60_000, bytes: vec![3; 6_000_000] };
+        let pixels = vec![[1.0, 2.0]; 100];
+        keyframe.features = Some(FeatureSet { pixels, descriptors, extractor: String::new() });
+    }
+    store::save_map(&path, &contents, false).unwrap();
+    let manifest = std::fs::read_to_string(path.join("manifest.json")).unwrap();
+    let manifest = &serde_json::from_str::<serde_json::Value>(&manifest).unwrap()["manifest"];
+    for part in ["frame", "landmarks"] {
+        assert!(manifest[part].as_array().unwrap().len() > 1, "{part}: {manifest}");
+    }
+    let read = read(&path);
+    assert_eq!(read.digest(), contents.digest());
+    assert!(without_version(read) == without_version(contents.clone()));
+    let (stored, landmarks) = store::open_map(&path).unwrap();
+    assert_eq!(stored.contents.keyframes.len(), 6);
+    let mut opened = Vec::new();
+    landmarks.read(|landmark| opened.push(landmark)).unwrap();
+    assert!(opened == contents.landmarks);
 }

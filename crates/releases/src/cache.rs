@@ -6,8 +6,9 @@
 //! ```
 
 use crate::error::ReleaseError;
-use crate::release::{Release, SegmentName};
+use crate::release::Release;
 use bytes::Bytes;
+use map::file::SegmentName;
 use std::collections::BTreeSet;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};

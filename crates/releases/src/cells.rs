@@ -8,24 +8,16 @@
 //! others, and their common errors. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
+use map::file::{Segment, SegmentWriter};
 use map::{
     CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata,
+    RecordError,
 };
 use protocol::KeyframeId;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What a map has in one cell, or in the border of one.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct CellContents {
-    pub(crate) keyframes: Vec<Keyframe>,
-    pub(crate) landmarks: Vec<Landmark>,
-    pub(crate) cross_covariances: Vec<KeyframeCrossCovariance>,
-    pub(crate) common_errors: Vec<CommonError>,
-    pub(crate) aliases: Vec<KeyframeAliases>,
-}
-
-/// The same, by reference.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CellView<'a> {
     /// Those of a border without their features.
@@ -34,6 +26,19 @@ pub(crate) struct CellView<'a> {
     pub(crate) cross_covariances: Vec<&'a KeyframeCrossCovariance>,
     pub(crate) common_errors: Vec<&'a CommonError>,
     pub(crate) aliases: Vec<&'a KeyframeAliases>,
+}
+
+impl CellView<'_> {
+    /// The segment of it.
+    pub(crate) fn encode(&self) -> Result<Vec<u8>, RecordError> {
+        let mut segment = SegmentWriter::default();
+        self.keyframes.iter().try_for_each(|keyframe| segment.add(keyframe.as_ref()).map(drop))?;
+        self.landmarks.iter().try_for_each(|landmark| segment.add(*landmark).map(drop))?;
+        self.cross_covariances.iter().try_for_each(|cross| segment.add(*cross).map(drop))?;
+        self.common_errors.iter().try_for_each(|common| segment.add(*common).map(drop))?;
+        self.aliases.iter().try_for_each(|aliases| segment.add(*aliases).map(drop))?;
+        Ok(segment.finish())
+    }
 }
 
 /// A cell and its border.
@@ -130,7 +135,7 @@ fn without_features(keyframe: &Keyframe) -> Keyframe {
 }
 
 /// Puts a map together.
-pub(crate) fn join(info: MapMetadata, cells: impl IntoIterator<Item = CellContents>) -> MapContents {
+pub(crate) fn join(info: MapMetadata, cells: impl IntoIterator<Item = Segment>) -> MapContents {
     let mut contents = MapContents::empty(info);
     for cell in cells {
         contents.keyframes.extend(cell.keyframes);

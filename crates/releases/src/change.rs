@@ -3,8 +3,9 @@
 //! A server of some cells does not know the others, and robots hold keyframes of several cells: who publishes a release says what
 //! changed in all of them.
 
-use crate::cells::{CellContents, CellView};
+use crate::cells::CellView;
 use map::difference::{Motion, has_moved, is_recorrelated, with_other_common_errors};
+use map::file::Segment;
 use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark};
 use nalgebra::Matrix6;
 use protocol::{KeyframeId, StatedChange};
@@ -132,7 +133,7 @@ pub(crate) struct ChangedCells<'a> {
 }
 
 impl<'a> ChangedCells<'a> {
-    pub(crate) fn of(cells: &'a [CellContents]) -> Self {
+    pub(crate) fn of(cells: &'a [Segment]) -> Self {
         let mut changed = Self::default();
         for cell in cells {
             changed.keyframes.extend(cell.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)));

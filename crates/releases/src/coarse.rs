@@ -3,8 +3,8 @@
 //! Every server has these of all cells, and asks only the cells that they name.
 
 use crate::cells::BorderedCell;
-use crate::error::SegmentError;
-use map::store::record::{seal, unseal};
+use map::file::SegmentError;
+use map::file::record::{seal, unseal};
 use map::{Keyframe, Landmark, RecordError};
 use protocol::KeyframeId;
 use serde::{Deserialize, Serialize};
@@ -91,7 +91,7 @@ impl CoarseCell {
     /// * `width`: bytes of a descriptor.
     pub(crate) fn decode(bytes: &[u8], width: usize) -> Result<Self, SegmentError> {
         let sealed = bytes.strip_prefix(MAGIC).ok_or(SegmentError::NotASegment)?;
-        let damaged = |source| SegmentError::Record { at: MAGIC.len(), source };
+        let damaged = |problem| SegmentError::Record { record: "its record".to_owned(), problem };
         let CoarseRecord { keyframes, positions, descriptors, observers } =
             unseal(TABLE, &[], sealed).map_err(damaged)?;
         let count = keyframes.len();

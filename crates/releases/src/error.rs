@@ -3,6 +3,7 @@
 use crate::damage::Damage;
 use crate::partition::CellId;
 use crate::signing::SignatureError;
+use map::file::SegmentError;
 use map::{ContentsError, RecordError};
 use protocol::MapIdentity;
 use std::path::PathBuf;
@@ -142,35 +143,6 @@ pub enum ReleaseError {
         path: PathBuf,
         /// The error of the file system.
         source: std::io::Error,
-    },
-}
-
-/// Why bytes are no segment.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SegmentError {
-    /// The first bytes are others.
-    #[error("it does not begin as a segment of this version does")]
-    NotASegment,
-    /// It ends too early.
-    #[error("it ends after {bytes} bytes, in the middle of a record")]
-    CutOff {
-        /// Its length.
-        bytes: usize,
-    },
-    /// It goes on after its last record.
-    #[error("{bytes} bytes follow its last record")]
-    TooLong {
-        /// How many.
-        bytes: usize,
-    },
-    /// A record is damaged.
-    #[error("the record at byte {at}")]
-    Record {
-        /// Where.
-        at: usize,
-        /// What is wrong with it.
-        source: RecordError,
     },
 }
 

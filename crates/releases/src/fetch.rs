@@ -1,15 +1,15 @@
 //! The map of a release, or some of its cells.
 
 use crate::cache::ReleaseCache;
-use crate::cells::{CellContents, join};
+use crate::cells::join;
 use crate::coarse::CoarseCell;
 use crate::damage::Damage;
-use crate::error::{ReleaseError, SegmentError};
+use crate::error::ReleaseError;
 use crate::partition::CellId;
-use crate::release::{Release, SegmentName};
-use crate::segment::decode;
+use crate::release::Release;
 use crate::store::ReleaseStore;
 use bytes::Bytes;
+use map::file::{Segment, SegmentError, SegmentName};
 use map::{KeyframeAliases, KeyframeCrossCovariance, MapContents};
 use protocol::KeyframeId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,10 +31,10 @@ pub async fn fetch(
     for cell in &release.cells {
         cells.push(cell_contents(store, &cell.segment, cache).await?);
     }
-    let contents = join(release.map.metadata(), cells);
+    let contents = join(release.map.clone(), cells);
     let digest = contents.digest();
-    if digest != release.map.digest {
-        let damage = Damage::Digest { found: digest, stated: release.map.digest };
+    if digest != release.digest {
+        let damage = Damage::Digest { found: digest, stated: release.digest };
         return Err(store.damaged(format!("release {}", release.number), damage));
     }
     Ok(contents)
@@ -75,7 +75,7 @@ pub async fn fetch_cell(
     let inside = cell_contents(store, &released.segment, cache).await?;
     let border = cell_contents(store, &serving.border, cache).await?;
     let own = inside.keyframes.iter().map(|keyframe| keyframe.id).collect();
-    let mut contents = join(release.map.metadata(), [inside, border]);
+    let mut contents = join(release.map.clone(), [inside, border]);
     let known: BTreeSet<KeyframeId> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let is_near = |cross: &KeyframeCrossCovariance| known.contains(&cross.a) && known.contains(&cross.b);
     let (near, far_cross_covariances) = contents.cross_covariances.into_iter().partition(is_near);
@@ -114,9 +114,9 @@ pub(crate) async fn cell_contents(
     store: &ReleaseStore,
     name: &SegmentName,
     cache: Option<&ReleaseCache>,
-) -> Result<CellContents, ReleaseError> {
+) -> Result<Segment, ReleaseError> {
     let bytes = segment(store, name, cache).await?;
-    decode(&bytes).map_err(|source| unreadable(store, name, source))
+    Segment::decode(&bytes).map_err(|source| unreadable(store, name, source))
 }
 
 async fn segment(

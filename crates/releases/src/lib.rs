@@ -5,6 +5,8 @@
 //! signatures/{SHA-256}                  of the file of a release, where it is signed
 //! segments/{SHA-256}                    the keyframes, landmarks and cross-covariances of a cell, of its border, its coarse landmarks
 //! ```
+//! A segment has the bytes that [`map::file`] describes: a release is a map cut into cells.
+//!
 //! Nothing is ever overwritten: segments are named by their content, and a release is put under the next number only if that
 //! number is free. Of two that publish at once, one is told that the other was first. A segment that did not change is not sent
 //! again. An upload that was stopped leaves segments that no release names; [`clean`](fn@clean) removes them after some time.
@@ -15,7 +17,6 @@
 //! | `cells` | a map cut into cells with their borders, and put together again without loss |
 //! | [`coarse`] | what tells from afar of which cells an image could be |
 //! | [`change`] | what changed from one release to the next |
-//! | `segment` | the bytes of a cell |
 //! | [`release`] | what a release is |
 //! | [`signing`] | who may publish |
 //! | [`store`] | the object store |
@@ -54,13 +55,11 @@ pub mod clean;
 mod cleaning;
 pub mod coarse;
 mod damage;
-mod digest;
 mod error;
 pub mod fetch;
 pub mod partition;
 pub mod publish;
 pub mod release;
-mod segment;
 pub mod signing;
 pub mod source;
 pub mod store;
@@ -70,11 +69,12 @@ pub use change::ReleasedChange;
 pub use clean::{CleanOptions, Cleaned, clean};
 pub use coarse::{CoarseCell, CoarseLandmark};
 pub use damage::Damage;
-pub use error::{ReleaseError, SegmentError};
+pub use error::ReleaseError;
 pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse};
+pub use map::file::{SegmentError, SegmentName};
 pub use partition::{CellId, Partition, PartitionError};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
-pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, SegmentName, ServedCell};
+pub use release::{Release, ReleaseDifference, ReleasedCell, ServedCell};
 #[cfg(feature = "signing")]
 pub use signing::SigningKey;
 pub use signing::{ReleaseKey, ReleaseKeyError, SignatureError};

@@ -1,16 +1,16 @@
 //! Publishing a map, and going back to a former release.
 
-use crate::cells::{BorderedCell, CellContents, CellView, split};
+use crate::cells::{BorderedCell, CellView, split};
 use crate::change::{ChangedCells, ReleasedChange};
 use crate::cleaning::ensure_kept;
 use crate::coarse::CoarseCell;
 use crate::error::{ReleaseError, with_causes};
 use crate::fetch::cell_contents;
 use crate::partition::{CellId, Partition};
-use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ReleasedMap, SegmentName, ServedCell};
-use crate::segment::encode;
+use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ServedCell};
 use crate::store::ReleaseStore;
-use map::{Keyframe, MapContents};
+use map::file::{Segment, SegmentName};
+use map::{Keyframe, MapContents, MapMetadata};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -82,14 +82,14 @@ pub async fn publish(
     let digest = contents.digest();
     let identity = contents.info.identity.unwrap_or(digest);
     if let Some(former) = &former {
-        if former.map.identity != identity {
+        if former.identity() != identity {
             return Err(ReleaseError::OtherMap {
                 place: store.place().to_owned(),
                 given: identity,
-                published: former.map.identity,
+                published: former.identity(),
             });
         }
-        if former.map.digest == digest {
+        if former.digest == digest {
             return Ok(Outcome::Unchanged { number: former.number });
         }
     }
@@ -108,9 +108,9 @@ pub async fn publish(
     let mut cells = Vec::with_capacity(of);
     for (done, (cell, part)) in parts.iter().enumerate() {
         progress(Progress { cells: done, of });
-        let segment = sending.put(encode(&part.own)?).await?;
+        let segment = sending.put(part.own.encode()?).await?;
         let serving = ServedCell {
-            border: sending.put(encode(&part.border)?).await?,
+            border: sending.put(part.border.encode()?).await?,
             coarse: sending.put(CoarseCell::of(part).encode()?).await?,
             observations: part.own.landmarks.iter().map(|landmark| landmark.observations.len()).sum(),
             cross_covariances: part.own.cross_covariances.len(),
@@ -135,7 +135,8 @@ pub async fn publish(
         published_unix_s: now_unix_s(),
         rolled_back_to: None,
         change,
-        map: ReleasedMap::new(&contents.info, version, identity, digest),
+        map: MapMetadata { version, identity: Some(identity), ..contents.info.clone() },
+        digest,
         partition,
         cells,
     };
@@ -153,7 +154,7 @@ pub async fn publish(
 pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, ReleaseError> {
     let former = store.release(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
-    if newest.map.digest == former.map.digest {
+    if newest.digest == former.digest {
         return Ok(Outcome::Unchanged { number: newest.number });
     }
     let change = change_back(store, &newest, &former).await.unwrap_or_else(|| unknown_change(&newest));
@@ -162,7 +163,7 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
         published_unix_s: now_unix_s(),
         rolled_back_to: Some(number),
         change: Some(change),
-        map: ReleasedMap { version: newest.map.version + 1, ..former.map.clone() },
+        map: MapMetadata { version: newest.map.version + 1, ..former.map.clone() },
         ..former
     };
     renew(store, &newest, &release).await?;
@@ -242,7 +243,7 @@ async fn cells_without(
     store: &ReleaseStore,
     release: &Release,
     others: &[ReleasedCell],
-) -> Option<Vec<CellContents>> {
+) -> Option<Vec<Segment>> {
     let mut cells = Vec::new();
     for cell in release.cells.iter().filter(|cell| !is_in(others, cell)) {
         match cell_contents(store, &cell.segment, None).await {

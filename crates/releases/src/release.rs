@@ -4,13 +4,13 @@ use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::partition::{CellId, Partition};
 use map::MapMetadata;
-use nalgebra::Vector3;
-use protocol::{DescriptorKind, MapIdentity};
+use map::file::SegmentName;
+use protocol::MapIdentity;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Layout of releases and their segments. One with another number is refused.
-pub const RELEASE_SCHEMA: u16 = 5;
+/// Layout of releases. One with another number is refused.
+pub const RELEASE_SCHEMA: u16 = 6;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,40 +26,14 @@ pub struct Release {
     pub rolled_back_to: Option<u64>,
     /// What changed since the release before; `None` for the first one.
     pub change: Option<ReleasedChange>,
-    /// What applies to the map as a whole.
-    pub map: ReleasedMap,
+    /// What applies to the map as a whole: its version grows from release to release, its identity is the same in all.
+    pub map: MapMetadata,
+    /// Of the map's contents; equal where they are.
+    pub digest: MapIdentity,
     /// Which place belongs to which cell.
     pub partition: Partition,
     /// Cells with keyframes, by their numbers.
     pub cells: Vec<ReleasedCell>,
-}
-
-/// What applies to a released map as a whole.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ReleasedMap {
-    /// Name for display.
-    pub name: String,
-    /// The program and input that it was built with.
-    pub created_by: String,
-    /// Grows from release to release.
-    pub version: u64,
-    /// The same in all releases.
-    pub identity: MapIdentity,
-    /// Of the map's contents; equal where they are.
-    pub digest: MapIdentity,
-    /// Unit vector downwards in G, where it is known.
-    pub gravity_in_global: Option<[f64; 3]>,
-    /// Whether the map defines G itself.
-    pub own_frame: bool,
-    /// Kind of its descriptors.
-    pub descriptor_kind: DescriptorKind,
-    /// Bytes of a descriptor.
-    pub descriptor_width: u16,
-    /// Standard deviation of its pixels, px.
-    pub sigma_px: f64,
-    /// Extractor of its features.
-    pub extractor: String,
 }
 
 /// One cell of a release.
@@ -96,16 +70,6 @@ pub struct ServedCell {
     pub viewing_distance: f64,
 }
 
-/// A segment: its SHA-256 is its name.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SegmentName {
-    /// 64 hexadecimal digits.
-    pub sha256: String,
-    /// Its length.
-    pub bytes: u64,
-}
-
 /// What one release has and another one has not.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ReleaseDifference {
@@ -121,42 +85,6 @@ pub struct ReleaseDifference {
     pub bytes: u64,
 }
 
-impl ReleasedMap {
-    pub(crate) fn new(info: &MapMetadata, version: u64, identity: MapIdentity, digest: MapIdentity) -> Self {
-        Self {
-            name: info.name.clone(),
-            created_by: info.created_by.clone(),
-            version,
-            identity,
-            digest,
-            gravity_in_global: info.gravity_in_global.map(Into::into),
-            own_frame: info.own_frame,
-            descriptor_kind: info.descriptor_kind,
-            descriptor_width: info.descriptor_width,
-            sigma_px: info.sigma_px,
-            extractor: info.extractor.clone(),
-        }
-    }
-
-    /// What applies to the map as a whole.
-    pub fn metadata(&self) -> MapMetadata {
-        MapMetadata {
-            version: self.version,
-            identity: Some(self.identity),
-            gravity_in_global: self.gravity_in_global.map(Vector3::from),
-            own_frame: self.own_frame,
-            sigma_px: self.sigma_px,
-            extractor: self.extractor.clone(),
-            ..MapMetadata::new(
-                self.name.as_str(),
-                self.created_by.as_str(),
-                self.descriptor_kind,
-                self.descriptor_width,
-            )
-        }
-    }
-}
-
 impl ReleasedCell {
     /// Its own segment, and those for serving it by itself.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
@@ -165,6 +93,11 @@ impl ReleasedCell {
 }
 
 impl Release {
+    /// The identity of the map: what is published states one, and that of a new map is its digest.
+    pub fn identity(&self) -> MapIdentity {
+        self.map.identity.unwrap_or(self.digest)
+    }
+
     /// Everything that the release names.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
         self.cells.iter().flat_map(ReleasedCell::segments)
@@ -237,23 +170,10 @@ impl Release {
             if known.binary_search(&cell).is_err() {
                 return Err(Damage::NoCell(cell));
             }
-            if let Some(segment) = released.segments().find(|segment| !segment.is_name()) {
+            if let Some(segment) = released.segments().find(|segment| !segment.is_valid()) {
                 return Err(Damage::SegmentName { cell, name: segment.sha256.clone() });
             }
         }
         Ok(release)
-    }
-}
-
-impl SegmentName {
-    /// That of some bytes.
-    pub(crate) fn of(bytes: &[u8]) -> Self {
-        Self { sha256: crate::digest::sha256(bytes), bytes: bytes.len() as u64 }
-    }
-
-    /// A hostile name could lead out of the folder of segments.
-    fn is_name(&self) -> bool {
-        let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
-        self.sha256.len() == 64 && self.sha256.bytes().all(is_digit)
     }
 }

@@ -2,14 +2,15 @@
 
 use crate::change::ReleasedChange;
 use crate::damage::Damage;
-use crate::digest::sha256;
 use crate::error::ReleaseError;
-use crate::release::{Release, SegmentName};
+use crate::release::Release;
 #[cfg(feature = "signing")]
 use crate::signing::SigningKey;
 use crate::signing::{ReleaseKey, SignatureError};
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
+use map::file::SegmentName;
+use map::file::segment::sha256;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};

@@ -22,6 +22,7 @@ use crate::change;
 use crate::error::ServeError;
 use crate::routing::CellDirectory;
 use crate::server::MapServer;
+use crate::state::{ServerState, note_served};
 
 /// How long the set of servers stays as it is before cells are assigned: several that start together would else fetch all.
 const SETTLING: Duration = Duration::from_secs(1);
@@ -131,6 +132,7 @@ impl CellService {
         let members = Tokens::follow(&session, keys::map_member(name, None)?).await?;
         let holders = Tokens::follow(&session, keys::cell_holder(name, None, None)?).await?;
         let (me, is_drawn) = (host.server.clone(), host.drawings.is_some());
+        let state = host.state.clone();
         let map = CellMap::start(host, name, directory).await?;
         tracing::info!(
             name,
@@ -150,6 +152,7 @@ impl CellService {
             memory,
             cold,
             is_drawn,
+            state,
             members,
             holders,
             session,
@@ -200,6 +203,7 @@ struct Running {
     cold: Option<Arc<ColdFolder>>,
     /// Whether the live map draws the cells.
     is_drawn: bool,
+    state: Option<Arc<ServerState>>,
     members: Tokens,
     holders: Tokens,
     session: zenoh::Session,
@@ -207,7 +211,7 @@ struct Running {
 
 impl Running {
     async fn run(mut self) {
-        self.source.keep(&self.release);
+        self.keep().await;
         let mut watch = tokio::time::interval(self.options.watch);
         watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
         watch.reset();
@@ -222,6 +226,13 @@ impl Running {
                 _ = watch.tick() => self.follow_release().await,
             }
         }
+    }
+
+    /// Notes which release is served now.
+    async fn keep(&self) {
+        let release = &self.release;
+        self.source.keep(release);
+        note_served(self.state.as_ref(), &self.name, release.identity(), release.map.version).await;
     }
 
     /// Waits until no server has come or gone for a while.
@@ -327,11 +338,11 @@ impl Running {
     }
 
     async fn change_to(&mut self, release: Release) -> Result<(), ServeError> {
-        if release.map.identity != self.release.map.identity {
+        if release.identity() != self.release.identity() {
             return Err(ServeError::OtherMap {
                 name: self.name.clone(),
-                served: self.release.map.identity,
-                given: release.map.identity,
+                served: self.release.identity(),
+                given: release.identity(),
             });
         }
         let release = Arc::new(release);
@@ -358,7 +369,7 @@ impl Running {
         );
         let notice = MapChangeNotice {
             map: self.name.clone(),
-            identity: release.map.identity,
+            identity: release.identity(),
             from_version: served,
             version: release.map.version,
             changed: change.changed,
@@ -367,7 +378,7 @@ impl Running {
             stated_change: change.stated_change.filter(|size| size.validate().is_ok()),
         };
         self.release = release;
-        self.source.keep(&self.release);
+        self.keep().await;
         change::publish(&self.session, notice).await
     }
 

@@ -73,7 +73,7 @@ impl CellDirectory {
         release: &Release,
         coarse: BTreeMap<CellId, CoarseCell>,
     ) -> Result<CellDirectory, DescriptorError> {
-        let info = release.map.metadata();
+        let info = release.map.clone();
         let mut builder = CoarseIndexBuilder::new(info.clone());
         let mut cells = BTreeMap::new();
         for (cell, CoarseCell { keyframes, positions, landmarks }) in coarse {
@@ -94,7 +94,7 @@ impl CellDirectory {
             };
             cells.insert(cell, directed);
         }
-        Ok(CellDirectory { info, identity: release.map.identity, cells, coarse: builder.build()? })
+        Ok(CellDirectory { info, identity: release.identity(), cells, coarse: builder.build()? })
     }
 
     /// What applies to the map as a whole.

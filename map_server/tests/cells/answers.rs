@@ -42,7 +42,7 @@ async fn cells_at_several_servers_answer_as_one_map_through_the_loss_of_a_server
         (info.observations, info.cross_covariances),
         (expected.observations, expected.cross_covariances)
     );
-    assert_eq!((info.extent, info.identity), (expected.extent, release.map.identity));
+    assert_eq!((info.extent, info.identity), (expected.extent, release.identity()));
 
     // The same images are recognized, at the same places, with the same correlations.
     let (mut matched, mut landmarks) = (0, [0, 0]);

@@ -23,7 +23,7 @@ impl Process {
             name,
         ]);
         command.args(["--connect", endpoint, "--watch-releases", "2", "--log", "warn"]);
-        command.arg("--cache").arg(cache.join(name));
+        command.arg("--cache").arg(cache.join(name)).arg("--state").arg(cache.join(name).join("state"));
         Process(command.spawn().unwrap())
     }
 }

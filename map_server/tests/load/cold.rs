@@ -27,6 +27,7 @@ impl Server {
         command.args(["--map", &format!("town=file://{}", store.display()), "--cells", "auto"]);
         command.args(["--name", name, "--memory", memory, "--connect", endpoint, "--log", "warn"]);
         command.args(["--monitoring", &monitoring]).arg("--cache").arg(cache.join(name));
+        command.arg("--state").arg(cache.join(name).join("state"));
         let process = command.stdin(Stdio::null()).spawn().unwrap();
         Self { process, monitoring }
     }

@@ -59,6 +59,8 @@ impl Server {
         let map = format!("{MAP}={}", database.display());
         command
             .args(["--map", &map, "--listen", endpoint, "--workers", &processors.to_string()])
+            .arg("--state")
+            .arg(folder.join("state"))
             .args(switches);
         Self(command.spawn().unwrap())
     }

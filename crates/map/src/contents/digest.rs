@@ -1,98 +1,51 @@
 //! The digest of a map: what a robot sees of it, in 16 bytes.
 
-use protocol::{LandmarkId, MapIdentity};
-use serde::Serialize;
+use protocol::MapIdentity;
 use sha2::{Digest as _, Sha256};
 
 use super::MapContents;
-use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};
-use crate::store::record::{
-    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord,
-    payload,
-};
+use super::sorted::Sorted;
+use crate::file::record::{Element, kind_to_byte, payload};
+use crate::model::MapMetadata;
 
 impl MapContents {
     /// The first 16 bytes of the SHA-256 over all records in the order of their ids, whatever their order here. Equal for
     /// equal maps and different for different ones, but blind to what is only displayed: the name, the creator, the version
     /// and the identity.
     pub fn digest(&self) -> MapIdentity {
+        let sorted = Sorted::of(self);
         let mut digest = RunningDigest::new(&self.info);
-        let mut keyframes: Vec<_> = self.keyframes.iter().collect();
-        keyframes.sort_by_key(|keyframe| keyframe.id);
-        for keyframe in keyframes {
-            digest.add_keyframe(keyframe);
-        }
-        let mut landmarks: Vec<_> = self.landmarks.iter().collect();
-        landmarks.sort_by_key(|landmark| landmark.id);
-        for landmark in landmarks {
-            let mut landmark = landmark.clone();
-            landmark.observations.sort_by_key(|observation| observation.keyframe);
-            digest.add_landmark(&landmark);
-        }
-        let mut crosses: Vec<_> =
-            self.cross_covariances.iter().map(KeyframeCrossCovariance::ordered).collect();
-        crosses.sort_by_key(|cross| (cross.a, cross.b));
-        for cross in &crosses {
-            digest.add_cross_covariance(cross);
-        }
-        let mut common_errors: Vec<_> = self.common_errors.iter().collect();
-        common_errors.sort_by_key(|common| common.keyframe);
-        for common in common_errors {
-            digest.add_common_error(common);
-        }
-        let mut aliases: Vec<_> = self.aliases.iter().collect();
-        aliases.sort_by_key(|aliases| aliases.keyframe);
-        for aliases in aliases {
-            digest.add_aliases(aliases);
-        }
+        sorted.keyframes.iter().for_each(|keyframe| digest.add(*keyframe));
+        sorted.cross_covariances.iter().for_each(|cross| digest.add(cross.as_ref()));
+        sorted.common_errors.iter().for_each(|common| digest.add(*common));
+        sorted.aliases.iter().for_each(|aliases| digest.add(*aliases));
+        sorted.landmarks.iter().for_each(|landmark| digest.add(landmark.as_ref()));
         digest.finish()
     }
 }
 
-/// A digest of what is added: all keyframes, all landmarks, all cross-covariances, all common errors, all aliases, each in
-/// the order of their ids.
+/// A digest of what is added: all keyframes, all cross-covariances, all common errors, all aliases, all landmarks, each in the
+/// order of their keys.
 pub(crate) struct RunningDigest(Sha256);
 
 impl RunningDigest {
     pub(crate) fn new(info: &MapMetadata) -> Self {
-        let mut info = info.clone();
-        info.name.clear();
-        info.created_by.clear();
-        (info.version, info.identity) = (0, None);
         let mut digest = Self(Sha256::new());
-        digest.add("info", &[], &InfoRecord::new(&info));
+        let gravity: Option<[f64; 3]> = info.gravity_in_global.map(Into::into);
+        let kind = kind_to_byte(info.descriptor_kind);
+        let facts =
+            (gravity, info.own_frame, kind, info.descriptor_width, info.sigma_px, info.extractor.as_str());
+        digest.add_payload("info", &[], &payload(&facts));
         digest
     }
 
-    pub(crate) fn add_keyframe(&mut self, keyframe: &Keyframe) {
-        self.add("keyframes", &[keyframe.id], &KeyframeRecord::new(keyframe));
+    fn add<E: Element>(&mut self, element: &E) {
+        self.add_record::<E>(element.key(), &payload(&element.to_record()));
     }
 
-    /// Adds a landmark whose observations are in the order of their keyframes.
-    pub(crate) fn add_landmark(&mut self, landmark: &Landmark) {
-        self.add_landmark_record(landmark.id, &payload(&LandmarkRecord::new(landmark)));
-    }
-
-    /// Adds the record of a landmark as [`RunningDigest::add_landmark`] adds the landmark.
-    pub(crate) fn add_landmark_record(&mut self, id: LandmarkId, payload: &[u8]) {
-        self.add_payload("landmarks", &[id], payload);
-    }
-
-    /// Adds a cross-covariance with `a < b`.
-    pub(crate) fn add_cross_covariance(&mut self, cross: &KeyframeCrossCovariance) {
-        self.add("cross_covariances", &[cross.a, cross.b], &CrossCovarianceRecord::new(cross));
-    }
-
-    pub(crate) fn add_common_error(&mut self, common: &CommonError) {
-        self.add("common_errors", &[common.keyframe], &CommonErrorRecord::new(common));
-    }
-
-    pub(crate) fn add_aliases(&mut self, aliases: &KeyframeAliases) {
-        self.add("aliases", &[aliases.keyframe], &AliasesRecord::new(aliases));
-    }
-
-    fn add<T: Serialize>(&mut self, table: &str, key: &[u64], record: &T) {
-        self.add_payload(table, key, &payload(record));
+    /// Adds an element by what is stored of it.
+    pub(crate) fn add_record<E: Element>(&mut self, key: E::Key, payload: &[u8]) {
+        self.add_payload(E::TABLE.name(), key.as_ref(), payload);
     }
 
     /// Every part is preceded by its length, so that no two sequences of records have the same bytes.

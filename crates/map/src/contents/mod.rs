@@ -3,6 +3,7 @@
 mod digest;
 mod error;
 mod observation_counts;
+mod sorted;
 mod validation;
 
 use std::collections::BTreeSet;
@@ -15,6 +16,7 @@ pub use error::{
     LandmarkProblem, MetadataProblem,
 };
 pub use observation_counts::ObservationCounts;
+pub(crate) use sorted::Sorted;
 pub use validation::validate_landmark;
 
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};

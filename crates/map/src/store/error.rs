@@ -1,9 +1,10 @@
 //! Why a map could not be read or written.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use super::record::RecordError;
 use crate::contents::ContentsError;
+use crate::file::record::RecordError;
+use crate::file::segment::SegmentError;
 
 /// Why a map could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -93,22 +94,6 @@ pub enum StoreError {
         /// The error of the system.
         source: std::io::Error,
     },
-    /// The copy that is read cannot be made.
-    #[error(
-        "the map {path} cannot be copied to {folder} for reading: {source}; free {} MB there, or set TMPDIR to a folder \
-         with more space",
-        bytes.div_ceil(1_000_000)
-    )]
-    Copy {
-        /// The path.
-        path: PathBuf,
-        /// The temporary folder.
-        folder: PathBuf,
-        /// Bytes of the map's files.
-        bytes: u64,
-        /// The error of the system.
-        source: std::io::Error,
-    },
     /// The map cannot be written. What was there before is still there.
     #[error("the map {path} cannot be written: {problem}; what was there before is unchanged")]
     Write {
@@ -148,17 +133,23 @@ pub enum Damage {
         expected: u64,
     },
     /// A file has other bytes than were written.
-    #[error("the bytes of the file {file} have changed since it was written")]
+    #[error("the bytes of the file {file} have changed since it was written (in the segment at byte {at})")]
     Checksum {
         /// Its path in the folder of the map.
         file: String,
+        /// Where the segment begins.
+        at: u64,
     },
-    /// The database in the files cannot be read.
-    #[error("its database cannot be read ({0})")]
-    Database(DatabaseError),
-    /// The records are not those that were written.
-    #[error("the map in its database is not the one that was written")]
-    Contents,
+    /// What was written is no segment of a map.
+    #[error("the segment at byte {at} of the file {file} cannot be read ({problem})")]
+    Segment {
+        /// Its path in the folder of the map.
+        file: String,
+        /// Where the segment begins.
+        at: u64,
+        /// What is wrong with it.
+        problem: SegmentError,
+    },
 }
 
 /// Why a map cannot be written.
@@ -173,65 +164,7 @@ pub enum WriteProblem {
         /// The error of the system.
         source: std::io::Error,
     },
-    /// The database reported an error, for example because the disk is full.
-    #[error("{0}")]
-    Database(DatabaseError),
-    /// What was written was not read back.
-    #[error("reading it back failed ({0}); is the disk full?")]
-    NotReadBack(Box<StoreError>),
-}
-
-/// Why the database in a folder could not be read or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum DatabaseError {
-    /// The database holds something else than a map.
-    #[error("it holds no map schema")]
-    NoMap,
-    /// The map is of another schema.
-    #[error("it has schema {found}")]
-    Schema {
-        /// The number in the database.
-        found: u16,
-    },
-    /// A record without which the others mean nothing.
-    #[error("{record}: {problem}")]
-    Record {
-        /// Which record.
-        record: String,
-        /// What is wrong with it.
-        problem: RecordError,
-    },
-    /// The keys of a table do not ascend.
-    #[error("the keys of its table {table} are out of order")]
-    Order {
-        /// The table.
-        table: &'static str,
-    },
-    /// The database reported an error.
-    #[error("{source}")]
-    Failed {
-        /// The error of the database.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// The database panicked.
-    #[error("the database panicked: {message}")]
-    Panicked {
-        /// Text of the panic.
-        message: String,
-    },
-}
-
-impl StoreError {
-    /// A database that cannot be read, as an error of the map at a path.
-    pub(super) fn unreadable(path: &Path, error: DatabaseError) -> StoreError {
-        let path = path.to_owned();
-        match error {
-            DatabaseError::NoMap => StoreError::NotAMap { path, problem: "its database holds no map schema" },
-            DatabaseError::Schema { found } => {
-                StoreError::Schema { path, found, expected: super::STORE_SCHEMA }
-            }
-            error => StoreError::Damaged { path, damage: Damage::Database(error) },
-        }
-    }
+    /// An element of the map cannot be stored.
+    #[error("a record: {0}")]
+    Record(RecordError),
 }

@@ -1,36 +1,38 @@
-//! Maps in databases: reading and writing them, and the [`MapStore`] trait of the database under them.
+//! Maps in folders: writing, replacing and reading them.
+//!
+//! ```text
+//! manifest.json         which version is the map, and the SHA-256 of its segments; written last
+//! version-7.segments    the segments of version 7; never changed
+//! lock                  held by the program that writes
+//! ```
+//! A new version is written beside the present one and becomes the map by renaming the manifest over the old one; then the old
+//! version is removed. A folder without a manifest is unfinished: nobody reads it, and the next map that is written to it replaces
+//! it. Reading writes nothing.
 //!
 //! | module | what |
 //! |---|---|
 //! | `error` | [`StoreError`] |
-//! | `database` | [`load_map`], [`open_map`], [`save_map`]: the only place that names an implementation |
-//! | `folder` | the folder of a map: versions, checksums, verified copies; independent of the database |
-//! | `guarded` | calls that may panic |
-//! | `map_store` | the trait [`MapStore`] |
-//! | `record` | the bytes of a record: versions, checksums, layout; independent of the database |
-//! | `sled_store` | the trait on the embedded database sled |
-//! | `stored_map` | [`StoredMap`], [`SavedMap`] |
-//! | `target` | [`MapTarget`]: what is replaced is what was there at the begin |
+//! | `folder` | what a folder holds |
+//! | `reading` | [`load_map`], [`open_map`]: verified once, before anything of it is used |
 //! | `stored_landmarks` | [`StoredLandmarks`], read one at a time |
+//! | `stored_map` | [`StoredMap`], [`SavedMap`] |
+//! | `target` | [`MapTarget`], [`save_map`]: what is replaced is what was there at the begin |
+//! | `version_file` | the segments of one version, open for reading |
+//! | `writing` | the next version |
 
-mod database;
 mod error;
 mod folder;
-mod guarded;
-mod map_store;
-pub mod record;
-mod sled_store;
+mod reading;
 mod stored_landmarks;
 mod stored_map;
 mod target;
+mod version_file;
+mod writing;
 
-pub use database::{ensure_free, is_map, load_map, open_map, save_map};
-pub use error::{Damage, DatabaseError, StoreError, WriteProblem};
-pub use map_store::{MapStore, OpenDatabase};
-pub use record::RecordError;
+pub use crate::file::STORE_SCHEMA;
+pub use error::{Damage, StoreError, WriteProblem};
+pub use folder::{ensure_free, is_map};
+pub use reading::{load_map, open_map};
 pub use stored_landmarks::StoredLandmarks;
 pub use stored_map::{SavedMap, StoredMap};
-pub use target::MapTarget;
-
-/// Layout of a map on disk. Maps with another number are refused.
-pub const STORE_SCHEMA: u16 = 7;
+pub use target::{MapTarget, save_map};

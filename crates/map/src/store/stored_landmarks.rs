@@ -1,11 +1,10 @@
 //! The landmarks of a stored map, read one at a time.
 
-use std::path::PathBuf;
+use protocol::LandmarkId;
 
 use super::error::StoreError;
-use super::folder::TemporaryCopy;
-use super::guarded;
-use super::map_store::OpenDatabase;
+use super::version_file::VersionFile;
+use crate::file::record::{Element as _, RecordError, decode};
 use crate::model::Landmark;
 
 /// The landmarks of a stored map that was opened with [`open_map`](super::open_map): by far most of its bytes.
@@ -13,12 +12,7 @@ use crate::model::Landmark;
 /// They were read once already, to verify and to count them. Whoever keeps them in a form of its own can so make room for all
 /// of them first, and never has them in memory twice.
 pub struct StoredLandmarks {
-    /// Folder of the map.
-    pub(super) map: PathBuf,
-    /// An open copy of its database ...
-    pub(super) database: Box<dyn OpenDatabase>,
-    /// ... in this folder.
-    pub(super) copy: TemporaryCopy,
+    pub(super) file: VersionFile,
     pub(super) count: usize,
     pub(super) observation_counts: Vec<u32>,
 }
@@ -37,25 +31,18 @@ impl StoredLandmarks {
     /// Calls `visit` with each landmark by id, the observations of each sorted by keyframe.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] where the database fails now.
-    pub fn read(self, mut visit: impl FnMut(Landmark)) -> Result<(), StoreError> {
-        let Self { map, database, copy, .. } = self;
-        let read = guarded::call(|| {
-            database.read_landmarks(&mut visit)?;
-            database.close()
-        });
-        drop(copy);
-        read.and_then(|result| result).map_err(|error| StoreError::unreadable(&map, error))
+    /// [`StoreError::Damaged`], [`StoreError::Read`] where the file fails now.
+    pub fn read(mut self, mut visit: impl FnMut(Landmark)) -> Result<(), StoreError> {
+        self.file.visit_landmarks(false, |id, payload| {
+            visit(decode_landmark(id, payload)?);
+            Ok(())
+        })
     }
+}
 
-    /// Lets go of the landmarks without reading them.
-    ///
-    /// # Errors
-    /// [`StoreError::Damaged`] where the database cannot be closed.
-    pub fn close(self) -> Result<(), StoreError> {
-        let Self { map, database, copy, .. } = self;
-        let closed = guarded::call(|| database.close()).and_then(|result| result);
-        drop(copy);
-        closed.map_err(|error| StoreError::unreadable(&map, error))
-    }
+/// A landmark of the payload of its record.
+pub(super) fn decode_landmark(id: LandmarkId, payload: &[u8]) -> Result<Landmark, RecordError> {
+    let mut landmark = Landmark::from_record([id], decode(payload)?)?;
+    landmark.observations.sort_by_key(|observation| observation.keyframe);
+    Ok(landmark)
 }

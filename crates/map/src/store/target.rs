@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::error::StoreError;
-use super::folder::{self, Seen};
-use super::sled_store::SledStore;
+use super::folder::{Seen, ensure_free};
 use super::stored_map::SavedMap;
+use super::writing;
 use crate::contents::MapContents;
 
 /// Where a map is to be written, and what was there when the work on it began.
@@ -43,7 +43,7 @@ impl MapTarget {
     /// As of [`ensure_free`](super::ensure_free).
     pub fn new(path: &Path, replace: bool) -> Result<MapTarget, StoreError> {
         let seen = Seen::at(path)?;
-        folder::ensure_free(path, replace)?;
+        ensure_free(path, replace)?;
         Ok(MapTarget { path: path.to_owned(), replace, seen })
     }
 
@@ -58,8 +58,37 @@ impl MapTarget {
     /// Those of [`save_map`](super::save_map); [`StoreError::Changed`] where another version was written since.
     pub fn save(&self, contents: &MapContents) -> Result<SavedMap, StoreError> {
         contents.validate()?;
-        let mut contents = contents.clone();
-        contents.sort();
-        folder::write(&self.path, contents, self.replace, Some(&self.seen), &SledStore)
+        writing::write(&self.path, contents, self.replace, &self.seen)
     }
+}
+
+/// Writes a map into a new folder, or with `replace` in place of the map that is there. The new one then has the identity of
+/// the former and a version that is one larger, so that robots which hold parts of it learn of the change. Both are set by
+/// this function; those of `contents` are not used.
+///
+/// The map appears in one step once all of it is on the disk: whatever stops the program, and whatever fails, the map that was
+/// there before remains. A folder with an unfinished map counts as free.
+///
+/// # Errors
+/// [`StoreError::Invalid`] for a map that violates an invariant, [`StoreError::Exists`] without `replace`, and with it
+/// [`StoreError::NotAMap`] where the path holds something else; [`StoreError::InUse`], [`StoreError::Changed`] where another
+/// program writes the map; [`StoreError::Write`], for example of a full disk.
+///
+/// # Example
+/// ```
+/// use map::{MapContents, MapMetadata, store};
+/// use protocol::DescriptorKind;
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("hall.db");
+/// let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
+/// let first = store::save_map(&path, &contents, false)?;
+/// let second = store::save_map(&path, &contents, true)?;
+/// assert_eq!((first.version, second.version), (1, 2));
+/// assert_eq!(first.identity, second.identity);
+/// assert_eq!(store::load_map(&path)?.contents.info.name, "hall");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn save_map(path: &Path, contents: &MapContents, replace: bool) -> Result<SavedMap, StoreError> {
+    MapTarget::new(path, replace)?.save(contents)
 }

@@ -4,12 +4,9 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
-    /// A record that every map has is not there.
-    #[error("it is missing")]
-    Missing,
-    /// The key is not that of such a record.
-    #[error("its key is malformed")]
-    Key,
+    /// It does not come after the one before it.
+    #[error("it is out of order")]
+    Order,
     /// The record is shorter than its header.
     #[error("it has only {bytes} bytes")]
     TooShort {

@@ -12,10 +12,10 @@ use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
 
-/// Version of the structures in [`super::layout`].
+/// Version of the layout of payloads.
 const RECORD_VERSION: u8 = 4;
 /// Bytes before the payload.
-const HEADER_BYTES: usize = 5;
+pub(crate) const HEADER_BYTES: usize = 5;
 
 /// Puts a record into its envelope.
 ///

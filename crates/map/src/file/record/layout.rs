@@ -6,69 +6,16 @@ use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Matrix6xX, Quaternion, UnitQuaternion, Vector3};
-use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
+use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId};
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
 use crate::model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
-    Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
 };
 
 /// How far a stored quaternion may be from unit length: as in a valid map.
 const UNIT_TOLERANCE: f64 = 1e-6;
-
-/// [`MapMetadata`] on disk.
-#[derive(Serialize, Deserialize)]
-pub struct InfoRecord {
-    name: String,
-    created_by: String,
-    version: u64,
-    gravity_in_global: Option<[f64; 3]>,
-    own_frame: bool,
-    descriptor_kind: u8,
-    descriptor_width: u16,
-    sigma_px: f64,
-    extractor: String,
-    identity: Option<[u8; 16]>,
-}
-
-impl InfoRecord {
-    /// The record of a map's metadata.
-    pub fn new(info: &MapMetadata) -> InfoRecord {
-        InfoRecord {
-            name: info.name.clone(),
-            created_by: info.created_by.clone(),
-            version: info.version,
-            gravity_in_global: info.gravity_in_global.map(Into::into),
-            own_frame: info.own_frame,
-            descriptor_kind: kind_to_byte(info.descriptor_kind),
-            descriptor_width: info.descriptor_width,
-            sigma_px: info.sigma_px,
-            extractor: info.extractor.clone(),
-            identity: info.identity.map(MapIdentity::to_bytes),
-        }
-    }
-
-    /// The metadata that the record holds.
-    ///
-    /// # Errors
-    /// A value that no map can have.
-    pub fn into_info(self) -> Result<MapMetadata, RecordError> {
-        Ok(MapMetadata {
-            name: self.name,
-            created_by: self.created_by,
-            version: self.version,
-            gravity_in_global: self.gravity_in_global.map(Vector3::from),
-            own_frame: self.own_frame,
-            descriptor_kind: kind_from_byte(self.descriptor_kind)?,
-            descriptor_width: self.descriptor_width,
-            sigma_px: self.sigma_px,
-            extractor: self.extractor,
-            identity: self.identity.map(MapIdentity::from_bytes),
-        })
-    }
-}
 
 /// [`Keyframe`] on disk; its id is the key.
 #[derive(Serialize, Deserialize)]
@@ -85,7 +32,7 @@ pub struct KeyframeRecord {
 
 impl KeyframeRecord {
     /// The record of a keyframe.
-    pub fn new(keyframe: &Keyframe) -> KeyframeRecord {
+    pub(super) fn new(keyframe: &Keyframe) -> KeyframeRecord {
         let pose = &keyframe.global_from_keyframe.pose;
         let quaternion = pose.rotation.quaternion();
         KeyframeRecord {
@@ -102,7 +49,7 @@ impl KeyframeRecord {
     ///
     /// # Errors
     /// A value that no keyframe can have.
-    pub fn into_keyframe(self, id: KeyframeId) -> Result<Keyframe, RecordError> {
+    pub(super) fn into_keyframe(self, id: KeyframeId) -> Result<Keyframe, RecordError> {
         let [w, x, y, z] = self.quaternion;
         let quaternion = Quaternion::new(w, x, y, z);
         let deviation = (quaternion.norm() - 1.0).abs();
@@ -231,7 +178,7 @@ struct ObservationRecord {
 
 impl LandmarkRecord {
     /// The record of a landmark.
-    pub fn new(landmark: &Landmark) -> LandmarkRecord {
+    pub(super) fn new(landmark: &Landmark) -> LandmarkRecord {
         let observations = landmark.observations.iter().map(|observation| ObservationRecord {
             keyframe: observation.keyframe,
             pixel: observation.pixel,
@@ -245,7 +192,7 @@ impl LandmarkRecord {
     }
 
     /// The landmark that the record holds; its id is the key.
-    pub fn into_landmark(self, id: LandmarkId) -> Landmark {
+    pub(super) fn into_landmark(self, id: LandmarkId) -> Landmark {
         let observations = self.observations.into_iter().map(|observation| Observation {
             keyframe: observation.keyframe,
             pixel: observation.pixel,
@@ -278,7 +225,7 @@ struct ObserverRecord<'a> {
 
 impl LandmarkObservers<'_> {
     /// The keyframes that observe the landmark, in the order of its observations.
-    pub fn keyframes(&self) -> impl Iterator<Item = KeyframeId> {
+    pub(crate) fn keyframes(&self) -> impl Iterator<Item = KeyframeId> {
         self.observations.iter().map(|observation| observation.keyframe)
     }
 }
@@ -289,12 +236,12 @@ pub struct CrossCovarianceRecord([[f64; 6]; 6]);
 
 impl CrossCovarianceRecord {
     /// The record of a cross-covariance block.
-    pub fn new(cross: &KeyframeCrossCovariance) -> CrossCovarianceRecord {
+    pub(super) fn new(cross: &KeyframeCrossCovariance) -> CrossCovarianceRecord {
         CrossCovarianceRecord(cross.block.into())
     }
 
     /// The block that the record holds; the keyframes are the key.
-    pub fn into_cross_covariance(self, a: KeyframeId, b: KeyframeId) -> KeyframeCrossCovariance {
+    pub(super) fn into_cross_covariance(self, a: KeyframeId, b: KeyframeId) -> KeyframeCrossCovariance {
         KeyframeCrossCovariance { a, b, block: Matrix6::from(self.0) }
     }
 }
@@ -305,12 +252,12 @@ pub struct CommonErrorRecord(Vec<[f64; 6]>);
 
 impl CommonErrorRecord {
     /// The record of a common error.
-    pub fn new(common: &CommonError) -> CommonErrorRecord {
+    pub(super) fn new(common: &CommonError) -> CommonErrorRecord {
         CommonErrorRecord(common.columns())
     }
 
     /// The common error that the record holds; the keyframe is the key.
-    pub fn into_common_error(self, keyframe: KeyframeId) -> CommonError {
+    pub(super) fn into_common_error(self, keyframe: KeyframeId) -> CommonError {
         CommonError { keyframe, factor: Matrix6xX::from_column_slice(self.0.as_flattened()) }
     }
 }
@@ -321,18 +268,19 @@ pub struct AliasesRecord(Vec<(u64, f64)>);
 
 impl AliasesRecord {
     /// The record of a keyframe's aliases.
-    pub fn new(aliases: &KeyframeAliases) -> AliasesRecord {
+    pub(super) fn new(aliases: &KeyframeAliases) -> AliasesRecord {
         AliasesRecord(aliases.places.iter().map(|place| (place.keyframe, place.log_odds)).collect())
     }
 
     /// The aliases that the record holds; the keyframe is the key.
-    pub fn into_aliases(self, keyframe: KeyframeId) -> KeyframeAliases {
+    pub(super) fn into_aliases(self, keyframe: KeyframeId) -> KeyframeAliases {
         let places = self.0.into_iter().map(|(keyframe, log_odds)| Alias { keyframe, log_odds }).collect();
         KeyframeAliases { keyframe, places }
     }
 }
 
-fn kind_to_byte(kind: DescriptorKind) -> u8 {
+/// The number of a kind of descriptors.
+pub(crate) fn kind_to_byte(kind: DescriptorKind) -> u8 {
     match kind {
         DescriptorKind::Binary => 0,
         DescriptorKind::Float => 1,

@@ -1,0 +1,46 @@
+//! The elements of a map in the order in which they are stored, without a copy of the map.
+
+use std::borrow::Cow;
+
+use super::MapContents;
+use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
+
+/// What [`MapContents::sort`] would make of a map: everything by its key, observations by keyframe, `a < b`.
+pub(crate) struct Sorted<'a> {
+    pub(crate) keyframes: Vec<&'a Keyframe>,
+    pub(crate) landmarks: Vec<Cow<'a, Landmark>>,
+    pub(crate) cross_covariances: Vec<Cow<'a, KeyframeCrossCovariance>>,
+    pub(crate) common_errors: Vec<&'a CommonError>,
+    pub(crate) aliases: Vec<&'a KeyframeAliases>,
+}
+
+impl<'a> Sorted<'a> {
+    pub(crate) fn of(contents: &'a MapContents) -> Self {
+        let mut sorted = Sorted {
+            keyframes: contents.keyframes.iter().collect(),
+            landmarks: contents.landmarks.iter().map(with_sorted_observations).collect(),
+            cross_covariances: contents.cross_covariances.iter().map(ordered).collect(),
+            common_errors: contents.common_errors.iter().collect(),
+            aliases: contents.aliases.iter().collect(),
+        };
+        sorted.keyframes.sort_by_key(|keyframe| keyframe.id);
+        sorted.landmarks.sort_by_key(|landmark| landmark.id);
+        sorted.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
+        sorted.common_errors.sort_by_key(|common| common.keyframe);
+        sorted.aliases.sort_by_key(|aliases| aliases.keyframe);
+        sorted
+    }
+}
+
+fn with_sorted_observations(landmark: &Landmark) -> Cow<'_, Landmark> {
+    if landmark.observations.is_sorted_by_key(|observation| observation.keyframe) {
+        return Cow::Borrowed(landmark);
+    }
+    let mut landmark = landmark.clone();
+    landmark.observations.sort_by_key(|observation| observation.keyframe);
+    Cow::Owned(landmark)
+}
+
+fn ordered(cross: &KeyframeCrossCovariance) -> Cow<'_, KeyframeCrossCovariance> {
+    if cross.a <= cross.b { Cow::Borrowed(cross) } else { Cow::Owned(cross.ordered()) }
+}
