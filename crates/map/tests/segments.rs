@@ -23,7 +23,9 @@ fn place(common: bool, aliases: bool) -> MapContents {
 
 fn encoded(segment: &Segment) -> Vec<u8> {
     fn add<E: Element>(writer: &mut SegmentWriter, elements: &[E]) {
-        elements.iter().for_each(|element| _ = writer.add(element).unwrap());
+        for element in elements {
+            writer.add(element).unwrap();
+        }
     }
     let mut writer = SegmentWriter::default();
     // The order of the lists in a segment does not depend on that in which they were written.

@@ -3,6 +3,7 @@
 
 mod cells;
 mod crossing;
+mod formats;
 #[cfg(unix)]
 mod interrupted;
 mod releases;

@@ -1,0 +1,36 @@
+//! A folder of every released format is read. Nothing is released yet: it is the one that is written today.
+
+use std::path::Path;
+
+use releases::{PublishOptions, ReleaseStore, fetch, fetch_cell, fetch_coarse, publish};
+use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
+
+/// Set to write the folder again, for a format that was not released.
+const UPDATE: &str = "UPDATE";
+
+#[tokio::test]
+async fn a_release_of_schema_6_is_read() {
+    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/release_6");
+    let store = ReleaseStore::open(kept.to_str().unwrap()).unwrap();
+    if std::env::var_os(UPDATE).is_some() {
+        let _ = std::fs::remove_dir_all(&kept);
+        let mut map =
+            Place::new(&PlaceOptions { keyframes: 4, landmarks: 12, ..PlaceOptions::default() }).map;
+        add_common_errors(&mut map, 2);
+        add_aliases(&mut map);
+        let mut options = PublishOptions::default();
+        options.keyframes_a_cell = 2;
+        publish(&store, map, &options, |_| {}).await.unwrap();
+    }
+    let release = store.newest().await.unwrap().unwrap();
+    assert_eq!((release.schema, release.number, release.cells.len(), release.keyframes()), (6, 1, 2, 4));
+    let map = fetch(&store, &release, None).await.unwrap();
+    map.validate().unwrap();
+    assert_eq!((map.keyframes.len(), map.common_errors.len(), map.aliases.len()), (4, 4, 4));
+    assert_eq!((map.digest(), map.info), (release.digest, release.map.clone()));
+    assert_eq!(fetch_coarse(&store, &release, None).await.unwrap().len(), 2);
+    for cell in &release.cells {
+        let fetched = fetch_cell(&store, &release, cell.cell, None).await.unwrap();
+        assert_eq!(fetched.own.len(), cell.keyframes);
+    }
+}
