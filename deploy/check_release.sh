@@ -17,7 +17,7 @@ trap 'rm -rf "$work"' EXIT
 
 for architecture in "${architectures[@]}"; do
     root="$work/$architecture"
-    debootstrap --quiet --variant=minbase --arch="$architecture" "$DEBIAN" "$root" > "$work/debootstrap.log" 2>&1 \
+    debootstrap --variant=minbase --arch="$architecture" "$DEBIAN" "$root" > "$work/debootstrap.log" 2>&1 \
         || { tail -n 20 "$work/debootstrap.log"; exit 1; }
     cp target/dist/*_"$architecture".deb "$root/tmp/"
     chroot "$root" /bin/sh -ec '
