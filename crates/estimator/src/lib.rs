@@ -44,6 +44,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod calibration;
+mod camera_vote;
 pub mod config;
 pub mod covariance;
 mod error;

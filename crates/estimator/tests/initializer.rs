@@ -13,6 +13,7 @@ const FRAME_NS: i64 = 50_000_000;
 /// Tilt of the body.
 const TILT: Vector3<f64> = Vector3::new(0.3, -0.2, 0.0);
 
+/// One camera.
 fn cameras() -> Vec<CalibratedCamera> {
     let camera = Camera {
         width: 640,
@@ -24,10 +25,31 @@ fn cameras() -> Vec<CalibratedCamera> {
     vec![CalibratedCamera::new(camera, Pose::identity())]
 }
 
+/// Several cameras with their optical axes a third of a turn apart.
+fn rig() -> Vec<CalibratedCamera> {
+    let turned = |k: usize| {
+        let rotation = rotation::exp(&Vector3::new(0.0, 2.1 * k as f64, 0.0));
+        CalibratedCamera::new(cameras()[0].camera.clone(), Pose::new(rotation, Vector3::zeros()))
+    };
+    (0..3).map(turned).collect()
+}
+
 /// Readings of a body without acceleration and images of one that moves at `velocity` (m/s), until it starts.
 fn watch(
-    mut initializer: Initializer,
+    initializer: Initializer,
     velocity: Vector3<f64>,
+    seconds: f64,
+) -> Result<(f64, Initialization), Vec<InitStatus>> {
+    watch_by(initializer, &[velocity], seconds)
+}
+
+/// The same with several cameras.
+///
+/// # Arguments
+/// * `velocities`: by which each camera sees its points pass, in its own frame, m/s.
+fn watch_by(
+    mut initializer: Initializer,
+    velocities: &[Vector3<f64>],
     seconds: f64,
 ) -> Result<(f64, Initialization), Vec<InitStatus>> {
     let mut rng = StdRng::seed_from_u64(4);
@@ -44,18 +66,21 @@ fn watch(
         if stamp_ns % FRAME_NS != 0 {
             continue;
         }
-        let at = velocity * (stamp_ns as f64 * 1e-9);
-        let cameras = cameras();
-        let see = |(name, point): (usize, &Vector3<f64>)| {
-            let pixel = cameras[0].camera.project(&(point - at)).ok()?;
-            let noise = nalgebra::Vector2::new(draw(-1.0, 1.0), draw(-1.0, 1.0));
-            cameras[0].camera.contains(&pixel).then_some(TrackObservation {
-                camera: 0,
-                feature_id: name as u64,
-                pixel: pixel + noise,
-            })
-        };
-        let tracks: Vec<_> = points.iter().enumerate().filter_map(see).collect();
+        let camera = &cameras()[0].camera;
+        let mut tracks = Vec::new();
+        for (index, velocity) in velocities.iter().enumerate() {
+            let at = velocity * (stamp_ns as f64 * 1e-9);
+            let see = |(name, point): (usize, &Vector3<f64>)| {
+                let pixel = camera.project(&(point - at)).ok()?;
+                let noise = nalgebra::Vector2::new(draw(-1.0, 1.0), draw(-1.0, 1.0));
+                camera.contains(&pixel).then_some(TrackObservation {
+                    camera: index as u8,
+                    feature_id: (name * velocities.len() + index) as u64,
+                    pixel: pixel + noise,
+                })
+            };
+            tracks.extend(points.iter().enumerate().filter_map(see));
+        }
         match initializer.image(stamp_ns, &tracks) {
             Ok(start) => return Ok((stamp_ns as f64 * 1e-9, start)),
             Err(waiting) => waited.push(waiting),
@@ -83,6 +108,18 @@ fn gliding_is_not_rest_and_one_camera_that_glides_never_starts() {
         last.contains("the features of the images move") && last.contains("dynamic initialization: "),
         "{last}"
     );
+}
+
+#[test]
+fn one_camera_of_three_neither_keeps_a_rig_from_starting_nor_lets_it_start_while_it_glides() {
+    let [still, glide] = [Vector3::zeros(), Vector3::new(0.4, 0.1, 0.0)];
+    let initializer = || Initializer::new(EstimatorConfig::default(), rig());
+    let (seconds, start) = watch_by(initializer(), &[glide, still, still], 3.0).unwrap();
+    assert_eq!(start.method, InitMethod::Static, "the first camera sees something that passes");
+    assert!(seconds <= 0.55, "{seconds} s");
+    let waited = watch_by(initializer(), &[still, glide, glide], 3.0).unwrap_err();
+    let last = waited.last().unwrap().to_string();
+    assert!(last.contains("the features of the images move"), "dirt on the first camera: {last}");
 }
 
 #[test]

@@ -11,8 +11,9 @@ use crate::initialization::continuation::{Continuation, LastTrustedPose};
 use crate::initialization::dynamic::{
     BiasPrior, DynamicInitError, InitQuality, Window, WindowImage, initialize_dynamic,
 };
+use crate::initialization::image_motion::tracks_move;
 use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use types::{ImuSample, TrackObservation};
 
 /// Minimum and maximum duration of the window of a dynamic initialization, seconds. Shorter ones seldom determine the scale;
@@ -33,12 +34,6 @@ const DYNAMIC_PERIOD_NS: i64 = 180_000_000;
 const ATTEMPTS_PER_PERIOD: i64 = 10;
 /// Maximum factor on the time between two dynamic initializations.
 const MAX_PERIOD_FACTOR: i64 = 5;
-/// Minimum time between the images that confirm the rest, nanoseconds.
-const MOTION_CHECK_SPAN_NS: i64 = 200_000_000;
-/// Minimum number of tracks shared by these images.
-const MOTION_CHECK_MIN_TRACKS: usize = 12;
-/// Maximum median displacement of pixels at rest, in units of their noise. Noise alone gives 1.66.
-const MOTION_CHECK_MAX_DISPLACEMENT: f64 = 2.5;
 
 /// How the initial state was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -317,36 +312,4 @@ impl Initializer {
         let first = self.imu.readings().take_while(|reading| reading.stamp_ns <= start.stamp_ns).count();
         self.imu.readings().skip(first.saturating_sub(1))
     }
-}
-
-/// Whether the tracks move although the IMU is at rest. False where there are too few.
-fn tracks_move(
-    images: &VecDeque<WindowImage>,
-    rest_ns: i64,
-    tracks: &[TrackObservation],
-    sigma_px: f64,
-) -> bool {
-    let Some(newest_ns) = images.back().map(|image| image.stamp_ns) else { return false };
-    let begin_ns = rest_ns - (REST_SECONDS * 1e9) as i64;
-    let mut earlier = images
-        .iter()
-        .filter(|image| image.stamp_ns >= begin_ns && newest_ns - image.stamp_ns >= MOTION_CHECK_SPAN_NS);
-    let now: BTreeMap<u64, _> = tracks
-        .iter()
-        .filter(|track| track.camera == 0)
-        .map(|track| (track.feature_id, track.pixel))
-        .collect();
-    let displacements = earlier.find_map(|image| {
-        let shared: Vec<f64> = image
-            .tracks
-            .iter()
-            .filter(|track| track.camera == 0)
-            .filter_map(|track| Some((now.get(&track.feature_id)? - track.pixel).norm()))
-            .collect();
-        (shared.len() >= MOTION_CHECK_MIN_TRACKS).then_some(shared)
-    });
-    displacements.is_some_and(|mut displacements| {
-        displacements.sort_by(f64::total_cmp);
-        displacements[displacements.len() / 2] > MOTION_CHECK_MAX_DISPLACEMENT * sigma_px
-    })
 }

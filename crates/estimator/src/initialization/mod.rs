@@ -2,5 +2,6 @@
 
 pub mod continuation;
 pub mod dynamic;
+mod image_motion;
 pub mod initializer;
 pub mod static_init;

@@ -129,7 +129,8 @@ impl TrackStore {
         }));
     }
 
-    /// The tracks of a camera that `newest` observes: first clone, its pixel, pixel of `newest`.
+    /// The tracks of a camera that `newest` observes: first clone, its pixel, pixel of `newest`. Those that several cameras see are
+    /// those of the first of them.
     pub fn pairs_with(
         &self,
         newest: CloneId,
@@ -137,6 +138,10 @@ impl TrackStore {
     ) -> impl Iterator<Item = (CloneId, Vector2<f64>, Vector2<f64>)> + '_ {
         self.running.iter().filter_map(move |track| {
             let of_camera = |observation: &&CloneObservation| usize::from(observation.camera) == camera;
+            let first = track.observations.iter().map(|observation| observation.camera).min()?;
+            if usize::from(first) != camera {
+                return None;
+            }
             let oldest = track.observations.iter().find(of_camera)?;
             let last = track.observations.iter().rev().find(of_camera)?;
             (last.clone == newest).then_some((oldest.clone, oldest.pixel, last.pixel))
@@ -196,5 +201,15 @@ mod tests {
             ended.extend(finished.iter().map(|track| (k, track.feature_id, track.clones())));
         }
         assert_eq!(ended, [(4, 1, 2), (5, 2, 3), (5, 5, 2)]);
+    }
+
+    #[test]
+    fn a_track_that_two_cameras_see_is_that_of_the_first() {
+        let mut store = TrackStore::default();
+        let of = |camera, feature_id| TrackObservation { camera, feature_id, pixel: Vector2::zeros() };
+        for clone in [CloneId(0), CloneId(1)] {
+            store.add(clone, &[of(0, 1), of(1, 1), of(1, 2)], |_| false);
+        }
+        assert_eq!([0, 1, 2].map(|camera| store.pairs_with(CloneId(1), camera).count()), [1, 1, 0]);
     }
 }

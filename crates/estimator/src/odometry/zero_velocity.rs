@@ -15,6 +15,7 @@
 //! * Images within half a second show the same lack of motion, so the update is made once in that time.
 
 use crate::calibration::CalibratedCamera;
+use crate::camera_vote::most_are_still;
 use crate::measurement::LinearizedMeasurement;
 use crate::odometry::tracks::TrackStore;
 use crate::state::{ActiveState, ClonedPose, POSE_DIM};
@@ -53,15 +54,14 @@ struct PixelPair {
     now: Vector2<f64>,
 }
 
-/// Whether the tracks of the newest image show that the body has not moved for at least half a second.
+/// Whether the tracks of the newest image show that the body has not moved for at least half a second, by most of the cameras (of a
+/// stereo pair the first one) that see enough.
 ///
 /// # Arguments
 /// * `sigma_px`: noise of tracked pixels, px.
 pub fn is_stationary(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> bool {
-    // The first camera that sees enough decides: others may be covered.
-    let mut cameras = state.calibration.cameras.iter().enumerate();
-    cameras.find_map(|(camera, calibrated)| is_still_in(state, tracks, (camera, calibrated), sigma_px))
-        == Some(true)
+    let cameras = state.calibration.cameras.iter().enumerate();
+    most_are_still(cameras.map(|camera| is_still_in(state, tracks, camera, sigma_px))) == Some(true)
 }
 
 /// Whether the tracks of a camera show that; `None` where they are too few.

@@ -47,13 +47,15 @@ pub fn integrate_gyroscope(readings: &[&[ImuSample]], bias: &Vector3<f64>) -> Re
     relative
 }
 
-/// Bearings of one pair of images, each in the frame of its body.
+/// Bearings of one pair of images of a camera, each in the frame of its body.
 struct Pair<'a> {
     readings: Vec<&'a [ImuSample]>,
     rays: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// Noise of a bearing, rad.
+    sigma: f64,
 }
 
-/// The gyroscope bias that minimizes the epipolar residuals of the first camera, rad/s.
+/// The gyroscope bias that minimizes the epipolar residuals of all cameras, of a stereo pair of the first one, rad/s.
 ///
 /// # Arguments
 /// * `prior`, `prior_sigma`: prior of the bias and its standard deviation, rad/s.
@@ -65,15 +67,14 @@ pub fn refine_bias(
     prior_sigma: f64,
     sigma_px: f64,
 ) -> Vector3<f64> {
-    let calibrated = &cameras[0];
-    let sigma = sigma_px / calibrated.camera.focal[0].min(calibrated.camera.focal[1]);
-    let pairs = pairs(window, &calibrated.imu_from_camera.rotation);
+    let of_camera = |(index, calibrated)| pairs(window, index, calibrated, sigma_px);
+    let pairs: Vec<Pair<'_>> = cameras.iter().enumerate().flat_map(of_camera).collect();
     let mut bias = *prior;
     for _ in 0..STEPS {
         let mut information = Matrix3::identity() / prior_sigma.powi(2);
         let mut vector = (prior - bias) / prior_sigma.powi(2);
         for pair in &pairs {
-            add_pair(pair, &bias, sigma, &mut information, &mut vector);
+            add_pair(pair, &bias, &mut information, &mut vector);
         }
         let Some(factor) = information.cholesky() else { break };
         let step = factor.solve(&vector);
@@ -85,7 +86,17 @@ pub fn refine_bias(
     bias
 }
 
-fn pairs<'a>(window: &'a Window, imu_from_camera: &Rotation) -> Vec<Pair<'a>> {
+/// The pairs of images of a camera. A feature that several cameras see is that of the first of them.
+fn pairs<'a>(
+    window: &'a Window,
+    camera: usize,
+    calibrated: &CalibratedCamera,
+    sigma_px: f64,
+) -> Vec<Pair<'a>> {
+    let imu_from_camera = calibrated.imu_from_camera.rotation;
+    let sigma = sigma_px / calibrated.camera.focal[0].min(calibrated.camera.focal[1]);
+    let is_of_camera =
+        |track: &&WindowTrack| track.iter().map(|observation| observation.camera).min() == Some(camera);
     let mut pairs = Vec::new();
     for first in 0..window.stamps_ns.len() {
         let second = window.stamps_ns.partition_point(|&stamp| stamp < window.stamps_ns[first] + PAIR_NS);
@@ -93,31 +104,27 @@ fn pairs<'a>(window: &'a Window, imu_from_camera: &Rotation) -> Vec<Pair<'a>> {
             break;
         }
         let ray = |track: &WindowTrack, image: usize| {
-            let seen =
-                track.iter().find(|observation| observation.image == image && observation.camera == 0)?;
+            let mut seen = track.iter().filter(|observation| observation.camera == camera);
+            let seen = seen.find(|observation| observation.image == image)?;
             Some(imu_from_camera * seen.ray.normalize())
         };
         let rays: Vec<_> = window
             .tracks
             .iter()
+            .filter(is_of_camera)
             .filter_map(|track| Some((ray(track, first)?, ray(track, second)?)))
             .collect();
         if rays.len() >= MIN_SHARED_TRACKS {
             let readings = window.readings[first..second].iter().map(Readings::as_slice).collect();
-            pairs.push(Pair { readings, rays });
+            pairs.push(Pair { readings, rays, sigma });
         }
     }
     pairs
 }
 
 /// Adds the normal equations of one pair, direction of the baseline eliminated.
-fn add_pair(
-    pair: &Pair<'_>,
-    bias: &Vector3<f64>,
-    sigma: f64,
-    information: &mut Matrix3<f64>,
-    vector: &mut Vector3<f64>,
-) {
+fn add_pair(pair: &Pair<'_>, bias: &Vector3<f64>, information: &mut Matrix3<f64>, vector: &mut Vector3<f64>) {
+    let sigma = pair.sigma;
     let relative = integrate_gyroscope(&pair.readings, bias);
     let matrix = relative.rotation.to_rotation_matrix().into_inner();
     let normals: Vec<Vector3<f64>> =

@@ -28,10 +28,19 @@ pub struct Run {
     pub outliers: f64,
     /// The biases are as large as unknown ones.
     pub unknown_biases: bool,
+    /// One more camera, the first one, sees nothing: it is covered.
+    pub covered_first: bool,
 }
 
-pub const USUAL: Run =
-    Run { seed: 1, stereo: false, shaken: 1.5, noise: 1.0, outliers: 0.0, unknown_biases: false };
+pub const USUAL: Run = Run {
+    seed: 1,
+    stereo: false,
+    shaken: 1.5,
+    noise: 1.0,
+    outliers: 0.0,
+    unknown_biases: false,
+    covered_first: false,
+};
 
 pub fn normal(rng: &mut StdRng) -> f64 {
     (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
@@ -131,8 +140,13 @@ pub fn world(run: Run) -> World {
         })
         .unwrap();
     }
-    let cameras = calibrated_cameras(run.stereo);
+    let mut cameras = calibrated_cameras(run.stereo);
     let middle = motion.pose(0.5 * SECONDS) * cameras[0].imu_from_camera;
+    let covered = usize::from(run.covered_first);
+    if run.covered_first {
+        let turned = Pose::new(exp(&Vector3::new(0.0, 2.0, 0.0)), Vector3::zeros());
+        cameras.insert(0, CalibratedCamera::new(cameras[0].camera.clone(), turned));
+    }
     let points: Vec<Vector3<f64>> = (0..120)
         .map(|_| {
             let z = rng.random_range(3.0..9.0);
@@ -147,7 +161,7 @@ pub fn world(run: Run) -> World {
     for k in 0..=((SECONDS * 1e9) as i64 / IMAGE_NS) {
         let body = motion.pose((k * IMAGE_NS) as f64 * 1e-9);
         let mut tracks = Vec::new();
-        for (camera, calibrated) in cameras.iter().enumerate() {
+        for (camera, calibrated) in cameras.iter().enumerate().skip(covered) {
             for (name, point) in points.iter().enumerate() {
                 let Ok(pixel) =
                     calibrated.camera.project(&(body * calibrated.imu_from_camera).inverse_transform(point))
