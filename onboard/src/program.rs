@@ -156,10 +156,10 @@ fn play(
     let cameras = arguments.camera_count(source.calibration())?;
     let link = link.filter(|link| link.map().is_none() || config.mode != MapMode::Odometry);
     let map = link.as_ref().and_then(RobotLink::map).map(str::to_owned);
-    let mask = if contents.images { arguments.features.read_mask()? } else { None };
+    let masks = if contents.images { arguments.features.read_masks()? } else { Vec::new() };
     let calibration = source.calibration().clone();
     let realtime = arguments.realtime || source.live().is_some();
-    let mut settings = settings(arguments, config.clone(), mask.as_ref());
+    let mut settings = settings(arguments, config.clone(), masks.clone());
     (settings.cameras, settings.initial, settings.stop) = (cameras, initial, stop.clone());
     // Lent to the robot, which it therefore outlives.
     let mut recorder;
@@ -179,7 +179,7 @@ fn play(
     if let Some(link) = link {
         connect(&mut robot, link)?;
         if map.is_some() {
-            extract_features(&mut robot, contents, arguments, mask)?;
+            extract_features(&mut robot, contents, arguments, masks)?;
         }
     }
     // Created before the run: a run whose results cannot be kept is not begun.
@@ -194,13 +194,15 @@ fn play(
 }
 
 /// The settings that the switches state.
-fn settings(arguments: &RobotArguments, config: EstimatorConfig, mask: Option<&GrayImage>) -> RobotSettings {
+fn settings(
+    arguments: &RobotArguments,
+    config: EstimatorConfig,
+    masks: Vec<Option<GrayImage>>,
+) -> RobotSettings {
     let mut settings = RobotSettings::new(config);
     settings.name.clone_from(&arguments.robot);
     settings.tracker = TrackerOptions::default().points(arguments.points);
-    if let Some(mask) = mask {
-        settings.tracker = settings.tracker.mask(0, mask.clone());
-    }
+    settings.tracker.masks = masks;
     settings.realtime = arguments.realtime;
     settings.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     settings.query_deadline = Duration::try_from_secs_f64(arguments.deadline).unwrap_or(Duration::MAX);
@@ -241,14 +243,14 @@ fn extract_features(
     robot: &mut Robot<'_>,
     contents: Contents,
     arguments: &RobotArguments,
-    mask: Option<GrayImage>,
+    masks: Vec<Option<GrayImage>>,
 ) -> Result<()> {
     if !contents.images || contents.features {
         return Ok(());
     }
     let settings = &arguments.features;
     let extractor = settings.open_for_queries()?;
-    let started = robot.extract_features(extractor, settings.max_features, mask);
+    let started = robot.extract_features(extractor, settings.max_features, masks);
     started.context("the thread of the feature extractor cannot be started")
 }
 

@@ -72,7 +72,7 @@ impl Split {
         options.gravity_in_global = self.sequence.truth_gravity();
         options.sigma_px = None;
         let extraction =
-            Extraction { extractor, others: &mut [], max_features, mask: None, cameras: usize::MAX };
+            Extraction { extractor, others: &mut [], max_features, masks: &[], cameras: usize::MAX };
         let (contents, report) =
             build_map(&sequence, &references, Some(extraction), &options, &mut |_, _, _| {}).unwrap();
         (Arc::new(LoadedMap::from_contents(contents).unwrap()), report)

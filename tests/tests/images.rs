@@ -102,7 +102,7 @@ fn images_are_localized_in_a_model_of_colmap() {
         extractor: extractor.as_mut(),
         others: &mut [],
         max_features: MAP_FEATURES,
-        mask: None,
+        masks: &[],
         cameras: 1,
     };
     let folder = recording("images").join("v1_01_keyframes/mav0/cam0/data");

@@ -103,9 +103,9 @@ pub fn read_image(data: &ImageData, camera: &Camera, camera_of: &str) -> Result<
 
 fn extract(image: &GrayImage, data: &ImageData, arguments: &FeatureArguments) -> Result<FeatureSet> {
     let mut extractor = arguments.open_for_queries()?;
-    let mask = arguments.read_mask()?;
-    let seen =
-        extractor.extract(image, mask.as_ref(), arguments.max_features).with_context(|| data.to_string())?;
+    let masks = arguments.read_masks()?;
+    let mask = masks.first().and_then(Option::as_ref);
+    let seen = extractor.extract(image, mask, arguments.max_features).with_context(|| data.to_string())?;
     Ok(feature_set(extractor.name(), seen))
 }
 

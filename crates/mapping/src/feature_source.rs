@@ -23,8 +23,8 @@ pub struct Extraction<'a> {
     pub others: &'a mut [Box<dyn FeatureExtractor>],
     /// Most features an image.
     pub max_features: usize,
-    /// Zero where images of camera 0 show the robot itself: no features there.
-    pub mask: Option<&'a GrayImage>,
+    /// Of the cameras in their order, zero where images show the robot itself: no features there. Cameras that are missing have none.
+    pub masks: &'a [Option<GrayImage>],
     /// How many cameras are used, the first ones, at most all: each stereo pair or single camera makes keyframes of its own.
     pub cameras: usize,
 }
@@ -160,9 +160,9 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
             .collect();
         let Some(extraction) = &mut self.extraction else { return };
         let (cameras, max_features) = (&self.rig.cameras, extraction.max_features);
-        let mask = extraction.mask;
+        let masks = extraction.masks;
         let extract = move |extractor: &mut dyn FeatureExtractor, (frame, index): (&Frame, usize)| {
-            let mask = mask.filter(|_| index == 0);
+            let mask = masks.get(index).and_then(Option::as_ref);
             let file = frame.images.get(&index)?;
             let camera = (index, &cameras[index].camera);
             Some(((frame.stamp_ns, index), extracted(extractor, file, camera, mask, max_features)))

@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut robot = Robot::new(&mut source, settings)?;
     robot.add_output(Print::default());
     robot.connect(link)?;
-    robot.extract_features(open(DEFAULT_EXTRACTOR, None)?, MAX_FEATURES, None)?;
+    robot.extract_features(open(DEFAULT_EXTRACTOR, None)?, MAX_FEATURES, Vec::new())?;
     let report = robot.run(|_frame| {});
     let queries = report.queries;
     println!("{} images; {} of {} queries corrected the pose", report.frames, queries.accepted, queries.sent);

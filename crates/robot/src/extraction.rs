@@ -60,18 +60,21 @@ pub struct ExtractionThread {
 impl ExtractionThread {
     /// Starts the thread.
     ///
+    /// # Arguments
+    /// * `masks`: of the cameras in their order; no features where they are zero.
+    ///
     /// # Errors
     /// The operating system refuses a thread.
     pub fn start(
         mut extractor: Box<dyn FeatureExtractor>,
         max_features: usize,
-        mask: Option<GrayImage>,
+        masks: Vec<Option<GrayImage>>,
     ) -> std::io::Result<Self> {
         let (jobs, inbox) = channel::<Job>();
         let (outbox, results) = channel();
         let work = move || {
             while let Ok(job) = inbox.recv() {
-                let mask = mask.as_ref().filter(|_| job.image.camera == 0);
+                let mask = masks.get(job.image.camera).and_then(Option::as_ref);
                 let features = extract(extractor.as_mut(), &job.data, mask, max_features);
                 if outbox.send(Extracted { image: job.image, stamp_ns: job.stamp_ns, features }).is_err() {
                     break;

@@ -152,7 +152,7 @@ impl<'a> Robot<'a> {
     /// # Arguments
     /// * `extractor`: that of the map.
     /// * `max_features`: of an image; a map server takes at most [`protocol::MAX_QUERY_FEATURES`].
-    /// * `mask`: black (zero) where camera 0 sees the robot itself; other cameras have none.
+    /// * `masks`: of the cameras in their order, black (zero) where a camera sees the robot itself; those that are missing have none.
     ///
     /// # Errors
     /// The operating system refuses a thread.
@@ -160,10 +160,10 @@ impl<'a> Robot<'a> {
         &mut self,
         extractor: Box<dyn FeatureExtractor>,
         max_features: usize,
-        mask: Option<GrayImage>,
+        masks: Vec<Option<GrayImage>>,
     ) -> std::io::Result<()> {
         if self.contents.images && !self.contents.features {
-            self.extraction = Some(ExtractionThread::start(extractor, max_features, mask)?);
+            self.extraction = Some(ExtractionThread::start(extractor, max_features, masks)?);
         }
         Ok(())
     }

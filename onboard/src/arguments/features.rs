@@ -24,9 +24,10 @@ pub struct FeatureArguments {
     /// Maximum number of features per image
     #[arg(long, value_name = "N", default_value_t = 1000, help_heading = HEADING)]
     pub max_features: usize,
-    /// Image that is black (zero) where camera 0 sees the robot itself
-    #[arg(long, value_name = "PNG", help_heading = HEADING)]
-    pub mask: Option<PathBuf>,
+    /// Image that is black (zero) where camera 0 sees the robot itself; of several cameras one each, separated by commas, in their
+    /// order, with nothing between the commas for a camera without a mask
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', help_heading = HEADING)]
+    pub mask: Vec<PathBuf>,
 }
 
 impl FeatureArguments {
@@ -72,13 +73,25 @@ impl FeatureArguments {
         (0..processors.min(MAX_EXTRACTORS)).map(|_| self.open()).collect()
     }
 
-    /// Reads the mask, if there is one.
+    /// Reads the masks of the cameras, in their order.
     ///
     /// # Errors
-    /// The file is not an image.
-    pub fn read_mask(&self) -> Result<Option<GrayImage>> {
-        self.mask.as_deref().map(GrayImage::read).transpose().context("--mask")
+    /// A file is not an image.
+    pub fn read_masks(&self) -> Result<Vec<Option<GrayImage>>> {
+        read_masks(&self.mask)
     }
+}
+
+/// Reads the masks of cameras, in their order; an empty path is that of a camera without one.
+///
+/// # Errors
+/// A file is not an image.
+pub fn read_masks(paths: &[PathBuf]) -> Result<Vec<Option<GrayImage>>> {
+    let read = |path: &PathBuf| {
+        let is_none = path.as_os_str().is_empty();
+        (!is_none).then(|| GrayImage::read(path)).transpose().context("--mask")
+    };
+    paths.iter().map(read).collect()
 }
 
 #[cfg(test)]
@@ -102,5 +115,18 @@ mod tests {
         assert_eq!(name(&silent.or_of_map("edgepoint2-1")), "edgepoint2-1");
         assert_eq!(name(&silent.or_of_map("")), DEFAULT_EXTRACTOR);
         assert_eq!(name(&silent), DEFAULT_EXTRACTOR);
+    }
+
+    #[test]
+    fn cameras_without_a_mask_are_left_out_between_commas() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("hood.png");
+        let mask = GrayImage::from_fn(4, 3, |x, _| if x < 2 { 0 } else { 255 });
+        std::fs::write(&path, mask.to_png().unwrap()).unwrap();
+        let read = |masks: &str| Program::parse_from(["robot", "--mask", masks]).features.read_masks();
+        let file = path.display().to_string();
+        assert_eq!(read(&file).unwrap(), [Some(mask.clone())]);
+        assert_eq!(read(&format!(",,{file}")).unwrap(), [None, None, Some(mask)]);
+        assert!(read(&format!("{file},missing.png")).is_err());
     }
 }

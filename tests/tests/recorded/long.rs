@@ -72,7 +72,7 @@ fn extraction_by(extractor: &mut Box<dyn FeatureExtractor>) -> Extraction<'_> {
         extractor: extractor.as_mut(),
         others: &mut [],
         max_features: 1000,
-        mask: None,
+        masks: &[],
         cameras: usize::MAX,
     }
 }

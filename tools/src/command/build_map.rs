@@ -149,15 +149,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let from_images = sequence.has_images() && !sequence.has_features();
     let features = args.features.or_of_map(stored.as_ref().map_or("", |map| &map.info.extractor));
     let mut extractors = if from_images { features.open_several()? } else { Vec::new() };
-    let mask = args.features.read_mask()?;
+    let masks = args.features.read_masks()?;
     let (contents, mut report) = if let Some(references) = references {
-        let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);
+        let extraction = extraction_of(&mut extractors, &masks, cameras, &args);
         let (contents, report) = build_map(&sequence, &references, extraction, &options, &mut show)?;
         (contents, Report::Built(Box::new(report)))
     } else {
-        let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);
+        let extraction = extraction_of(&mut extractors, &masks, cameras, &args);
         let odometry = odometry(&mut sequence, extraction, &args, &mut options, &mut show)?;
-        let extraction = extraction_of(&mut extractors, mask.as_ref(), cameras, &args);
+        let extraction = extraction_of(&mut extractors, &masks, cameras, &args);
         if let Some(stored) = &stored {
             let (contents, report) =
                 extend_map(stored, &sequence, &odometry, extraction, &options, &mut show)?;
@@ -238,13 +238,13 @@ fn odometry(
 /// What the switches say of extraction; `None` for a recording that has features.
 fn extraction_of<'a>(
     extractors: &'a mut [Box<dyn FeatureExtractor>],
-    mask: Option<&'a GrayImage>,
+    masks: &'a [Option<GrayImage>],
     cameras: usize,
     args: &Args,
 ) -> Option<Extraction<'a>> {
     let (extractor, others) = extractors.split_first_mut()?;
     let extractor = extractor.as_mut();
-    Some(Extraction { extractor, others, max_features: args.features.max_features, mask, cameras })
+    Some(Extraction { extractor, others, max_features: args.features.max_features, masks, cameras })
 }
 
 /// The poses to build from: those of `--poses`, of the sequence, or the ground truth where its standard deviations are

@@ -74,7 +74,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         extractor: extractor.as_mut(),
         others: &mut [],
         max_features: args.features.max_features,
-        mask: None,
+        masks: &[],
         cameras: 1,
     };
     let mut bar = StageBar::new(args.json);

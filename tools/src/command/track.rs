@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use estimator::ReadingCheck;
 use odometry::FrontEnd;
-use onboard::arguments::CalibrationArguments;
+use onboard::arguments::{CalibrationArguments, read_masks};
 use onboard::progress;
 use onboard::start::first_rest;
 use sensors::{
@@ -15,7 +15,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use vision::tracking::TrackerOptions;
-use vision::{Equalization, GrayImage, LocalEqualization};
+use vision::{Equalization, LocalEqualization};
 
 /// A rest is searched in so much of the beginning, nanoseconds; [`first_rest`] looks no further than 10 s.
 const REST_SEARCH_NS: i64 = 11_000_000_000;
@@ -47,7 +47,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "off")]
     equalize: Equalize,
     /// Image that is black (zero) where camera 0 sees the robot itself; of several cameras one each, separated by commas, in their
-    /// order
+    /// order, with nothing between the commas for a camera without a mask
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
     mask: Vec<PathBuf>,
     /// Do not use the gyroscope
@@ -285,9 +285,7 @@ fn refuse_to_overwrite(args: &Args, root: &Path, cameras: usize) -> Result<()> {
 
 fn tracker_options(args: &Args) -> Result<TrackerOptions> {
     let mut options = TrackerOptions::default().points(args.points).equalization(args.equalize.into());
-    for (camera, path) in args.mask.iter().enumerate() {
-        options = options.mask(camera, GrayImage::read(path).context("the mask cannot be read")?);
-    }
+    options.masks = read_masks(&args.mask)?;
     Ok(options)
 }
 

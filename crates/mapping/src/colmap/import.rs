@@ -57,7 +57,7 @@ struct Scene<'a> {
 /// # Arguments
 /// * `frame`: scale and gravity.
 /// * `read`: reads the image of a name.
-/// * `extraction`: how features are extracted; the mask and stereo are not used.
+/// * `extraction`: how features are extracted; masks and stereo are not used.
 /// * `info`: name and origin of the map; kind of descriptors, gravity and pixel noise are filled in.
 ///
 /// # Errors

@@ -210,7 +210,7 @@ fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
 }
 
 fn few_features(extractor: &mut dyn vision::FeatureExtractor) -> crate::Extraction<'_> {
-    crate::Extraction { extractor, others: &mut [], max_features: 50, mask: None, cameras: 1 }
+    crate::Extraction { extractor, others: &mut [], max_features: 50, masks: &[], cameras: 1 }
 }
 
 #[test]

@@ -140,7 +140,7 @@ impl World {
             extractor: &mut extractor,
             others: &mut [],
             max_features: 1000,
-            mask: None,
+            masks: &[],
             cameras,
         };
         build_map(&self.sequence, &self.references, Some(extraction), options, &mut |_, _, _| ()).unwrap()

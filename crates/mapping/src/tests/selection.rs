@@ -88,7 +88,7 @@ fn extractors(count: usize) -> Vec<Box<dyn FeatureExtractor>> {
 
 fn extraction(extractors: &mut [Box<dyn FeatureExtractor>]) -> Extraction<'_> {
     let (first, others) = extractors.split_first_mut().unwrap();
-    Extraction { extractor: first.as_mut(), others, max_features: 100, mask: None, cameras: usize::MAX }
+    Extraction { extractor: first.as_mut(), others, max_features: 100, masks: &[], cameras: usize::MAX }
 }
 
 fn assert_equal(found: &[KeyframeView<'_>], expected: &[KeyframeView<'_>]) {

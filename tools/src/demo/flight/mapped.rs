@@ -58,7 +58,7 @@ impl MappedRoom {
             extractor: extractor.as_mut(),
             others: &mut [],
             max_features: MAX_FEATURES,
-            mask: None,
+            masks: &[],
             cameras,
         };
         let mut options = BuildOptions::default();
