@@ -47,6 +47,7 @@ impl<'a> Player<'a> {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
                 readout_s: sensor.readout_s,
+                delay_s: sensor.delay_s(),
             })
             .collect();
         let estimator = Estimator::new(config, rig, &initial).unwrap();

@@ -78,7 +78,8 @@ fn live(
         });
         let driver = Client::open(&[], &[server.endpoint()]);
         let topics =
-            NativeTopics::new(&driver.session, driver.runtime.handle(), ROBOT, recording.contents()).unwrap();
+            NativeTopics::new(&driver.session, driver.runtime.handle(), ROBOT, 2, recording.contents())
+                .unwrap();
         wait_for_robot(&topics, &stop).unwrap();
         let published = play(&topics, &mut recording.source().unwrap(), 1.0, 0, &stop).unwrap();
         let begin = Instant::now();

@@ -105,7 +105,7 @@ impl Driver {
     fn start(endpoint: &str, recording: &Recording<'_>) -> Self {
         let client = Client::open(&[], &[endpoint]);
         let contents = recording.contents();
-        let topics = NativeTopics::new(&client.session, client.runtime.handle(), ROBOT, contents).unwrap();
+        let topics = NativeTopics::new(&client.session, client.runtime.handle(), ROBOT, 2, contents).unwrap();
         wait_for_robot(&topics, &StopSignal::default()).unwrap();
         Self { client, topics }
     }

@@ -208,7 +208,7 @@ fn how_late_the_poses_of_a_live_camera_are() {
     let (imu, predicted) = (keys::robot_imu(ROBOT).unwrap(), keys::robot_odometry_predicted(ROBOT).unwrap());
     let of_readings = Arrivals::listen(&third, imu, predicted, stamps_of_readings);
     let topics =
-        NativeTopics::new(&driver.session, driver.runtime.handle(), ROBOT, played.contents()).unwrap();
+        NativeTopics::new(&driver.session, driver.runtime.handle(), ROBOT, 2, played.contents()).unwrap();
     let stop = StopSignal::default();
     std::thread::sleep(Duration::from_secs(1));
     assert_eq!(robot.0.try_wait().unwrap(), None, "the robot ended");

@@ -24,5 +24,7 @@ mod yaml;
 pub use error::CalibrationError;
 pub use imu_intrinsics::ImuIntrinsics;
 pub use sensor_yaml::{lens_of_text, read_lens};
-pub use sensors::{CameraSensor, GnssSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups};
+pub use sensors::{
+    CameraSensor, GnssSensor, ImuSensor, SensorCalibration, WheelSensor, camera_groups, relative_time_shifts,
+};
 pub use yaml::{Lens, projection_yaml};

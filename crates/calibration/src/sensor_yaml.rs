@@ -3,7 +3,9 @@
 //! EuRoC's files are OpenCV YAML: a `%YAML:1.0` line, tabs and tags that standard YAML does not allow are removed
 //! first. The body frame is the IMU's, as in EuRoC.
 
-use crate::yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text, readout_time};
+use crate::yaml::{
+    Lens, NoiseYaml, check_positive, checked_time_shift, parse, pose_from_matrix, read_text, readout_time,
+};
 use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, WheelSensor, kalibr};
 use geometry::camera::Camera;
 use geometry::{Geodetic, Pose, check_mount};
@@ -36,6 +38,8 @@ struct MountYaml {
     rate_hz: f64,
     #[serde(default)]
     line_delay: f64,
+    #[serde(default)]
+    timeshift_cam_imu: f64,
 }
 
 /// Geometry and noise of the wheels.
@@ -107,7 +111,9 @@ pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationErro
     })
 }
 
-/// Reads a camera's `sensor.yaml`. Of a rolling shutter, `line_delay` is the time from row to row, seconds, as in Kalibr's files.
+/// Reads a camera's `sensor.yaml`. Of a rolling shutter, `line_delay` is the time from row to row, seconds, as in Kalibr's files, and
+/// `timeshift_cam_imu` what is added to the camera's stamps to obtain the IMU's, seconds, which here becomes `time_shift_s` as it is
+/// ([`crate::relative_time_shifts`]).
 ///
 /// # Errors
 /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
@@ -117,7 +123,8 @@ pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
     check_positive(path, "rate_hz", mount.rate_hz)?;
     let imu_from_camera = pose_from_matrix(path, "T_BS", &mount.body_from_sensor.data)?;
     let readout_s = readout_time(path, "line_delay", mount.line_delay, &camera)?;
-    Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz, readout_s })
+    let time_shift_s = checked_time_shift(path, "timeshift_cam_imu", mount.timeshift_cam_imu)?;
+    Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz, readout_s, time_shift_s })
 }
 
 /// Reads the `sensor.yaml` of the wheels: `radius_left`, `radius_right` and `track` (m), `T_BS`, the pose of the base in the

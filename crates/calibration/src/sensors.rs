@@ -33,13 +33,46 @@ pub struct CameraSensor {
     /// Time from the readout of the first row to that after the last one, seconds: 0 for a global shutter, negative where images
     /// are turned by 180 degrees after they were read out. The stamp of an image is the time of its middle row.
     pub readout_s: f64,
+    /// Kalibr's `timeshift_cam_imu` less that of camera 0, seconds: how much later the IMU's clock is at an image of this camera than at one
+    /// of camera 0 with the same stamp.
+    pub time_shift_s: f64,
 }
 
+/// Shifts up to this are taken for delays within a frame: exposures of different length, a trigger that passes from camera to camera. Larger
+/// ones, seconds, are those of the stamps.
+const MAX_DELAY_S: f64 = 5e-3;
+
 impl CameraSensor {
-    /// A camera with a global shutter.
+    /// A camera with a global shutter and the time shift of camera 0.
     pub fn new(camera: Camera, imu_from_camera: Pose, rate_hz: f64) -> Self {
-        Self { camera, imu_from_camera, rate_hz, readout_s: 0.0 }
+        Self { camera, imu_from_camera, rate_hz, readout_s: 0.0, time_shift_s: 0.0 }
     }
+
+    /// What is added to the stamps of its images before they are joined to frames, nanoseconds: the time shift where it is larger than the 5 ms
+    /// by which stamps of one frame differ.
+    pub fn stamp_shift_ns(&self) -> i64 {
+        if self.time_shift_s.abs() > MAX_DELAY_S { (self.time_shift_s * 1e9).round() as i64 } else { 0 }
+    }
+
+    /// Time of its image after the stamp of the frame, seconds: the time shift where it is not larger than 5 ms.
+    pub fn delay_s(&self) -> f64 {
+        if self.time_shift_s.abs() > MAX_DELAY_S { 0.0 } else { self.time_shift_s }
+    }
+}
+
+/// Makes the time shifts of cameras those against camera 0.
+///
+/// # Arguments
+/// * `cameras`: with `time_shift_s` as Kalibr states it, against the clock of the IMU.
+///
+/// # Returns
+/// What is added to the stamps of frames to obtain those of the IMU, nanoseconds.
+pub fn relative_time_shifts(cameras: &mut [CameraSensor]) -> i64 {
+    let of_first = cameras.first().map_or(0.0, |camera| camera.time_shift_s);
+    for camera in cameras {
+        camera.time_shift_s -= of_first;
+    }
+    (of_first * 1e9).round() as i64
 }
 
 /// Which cameras of a rig are stereo pairs: [`geometry::camera_groups`].
@@ -101,4 +134,31 @@ pub struct SensorCalibration {
     pub wheels: Option<WheelSensor>,
     /// The antenna of GNSS, where there is one.
     pub gnss: Option<GnssSensor>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::Distortion;
+
+    #[test]
+    fn small_time_shifts_are_delays_and_large_ones_are_those_of_the_stamps() {
+        let camera = Camera {
+            width: 640,
+            height: 480,
+            focal: [400.0; 2],
+            centre: [320.0, 240.0],
+            distortion: Distortion::None,
+        };
+        let shifted = |time_shift_s| CameraSensor {
+            time_shift_s,
+            ..CameraSensor::new(camera.clone(), Pose::identity(), 20.0)
+        };
+        let mut cameras = [0.010, 0.013, 0.040, -0.030].map(shifted);
+        assert_eq!(relative_time_shifts(&mut cameras), 10_000_000);
+        let stamps_ns = cameras.iter().map(CameraSensor::stamp_shift_ns).collect::<Vec<_>>();
+        assert_eq!(stamps_ns, [0, 0, 30_000_000, -40_000_000]);
+        let delays_us = cameras.each_ref().map(|camera| (camera.delay_s() * 1e6).round() as i64);
+        assert_eq!(delays_us, [0, 3000, 0, 0]);
+    }
 }

@@ -268,6 +268,18 @@ pub(crate) fn readout_time(
     Err(CalibrationError::entry(path, problem))
 }
 
+/// Time shifts beyond this are mistakes: other units, or recordings of different times, seconds.
+const MAX_SHIFT_S: f64 = 10.0;
+
+/// Checks what is added to the stamps of a camera, seconds.
+pub(crate) fn checked_time_shift(path: &Path, name: &str, shift_s: f64) -> Result<f64, CalibrationError> {
+    if shift_s.is_finite() && shift_s.abs() < MAX_SHIFT_S {
+        return Ok(shift_s);
+    }
+    let problem = format!("{name} is {shift_s}, but is in seconds, and below {MAX_SHIFT_S}");
+    Err(CalibrationError::entry(path, problem))
+}
+
 /// A row-major 4x4 matrix as a pose. `key`: its name in the file.
 pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, CalibrationError> {
     let wrong = |problem: &str| CalibrationError::entry(path, format!("{key}: {problem}"));

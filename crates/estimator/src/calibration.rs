@@ -12,7 +12,7 @@
 //! Source: Li & Mourikis, "Online temporal calibration for camera-IMU systems", IJRR 2014; Li, Yu, Zheng & Mourikis,
 //! "High-fidelity sensor modeling and self-calibration in vision-aided inertial navigation", ICRA 2014.
 
-use geometry::{Camera, MAX_INTRINSICS, Pose};
+use geometry::{Camera, CameraGroup, MAX_INTRINSICS, Pose, camera_groups};
 use nalgebra::{DMatrix, DVectorView, Matrix2x3, Matrix2x6, SMatrix, SVector, Vector2, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -27,6 +27,9 @@ pub struct CalibratedCamera {
     /// Time from the readout of the first row to that after the last one, seconds: 0 for a global shutter. An image's stamp is the
     /// time of its middle row, see [`rolling_shutter`](crate::rolling_shutter).
     pub readout_s: f64,
+    /// Time of its images after the stamp of their frame, seconds: of cameras that are exposed together, but with delays that are calibrated.
+    /// Its pixels are predicted from the pose at their own time, as rows of a rolling shutter are.
+    pub delay_s: f64,
 }
 
 /// Which calibration parameters are estimated online, and their initial standard deviations.
@@ -86,13 +89,14 @@ impl Default for OnlineCalibration {
 /// Dimension of the error of one camera when all of it is estimated.
 pub const CAMERA_DIM: usize = 6 + MAX_INTRINSICS + 1;
 
-/// How far the times of rows reach from that of the image, nanoseconds.
+/// How far the times of pixels reach from that of the frame, nanoseconds.
 pub fn row_reach_ns(cameras: &[CalibratedCamera]) -> i64 {
-    let longest = cameras.iter().map(|calibrated| calibrated.readout_s.abs()).fold(0.0, f64::max);
-    ((0.5 * longest).min(MAX_ROW_REACH_S) * 1e9) as i64
+    let reach = |calibrated: &CalibratedCamera| calibrated.delay_s.abs() + 0.5 * calibrated.readout_s.abs();
+    let longest = cameras.iter().map(reach).fold(0.0, f64::max);
+    (longest.min(MAX_ROW_REACH_S) * 1e9) as i64
 }
 
-/// Motion about an image is known this far, seconds: half of the longest readout time of any camera.
+/// Motion about an image is known this far, seconds: half of the longest readout time of any camera, and its delay.
 const MAX_ROW_REACH_S: f64 = 0.1;
 
 /// Cameras and time offset, with the layout of their errors.
@@ -112,6 +116,11 @@ impl Calibration {
     /// * `time_offset`: added to a camera's time stamp to obtain the IMU's, seconds.
     pub fn new(cameras: Vec<CalibratedCamera>, time_offset: f64, online: OnlineCalibration) -> Self {
         Self { cameras, time_offset, online }
+    }
+
+    /// Which cameras are stereo pairs.
+    pub fn camera_groups(&self) -> Vec<CameraGroup> {
+        camera_groups(self.cameras.iter().map(|calibrated| (&calibrated.camera, &calibrated.imu_from_camera)))
     }
 
     /// Dimension of the error: 0 if nothing is estimated.
@@ -143,7 +152,13 @@ impl Calibration {
         self.online.readout_time || self.cameras.iter().any(|calibrated| calibrated.readout_s != 0.0)
     }
 
-    /// How far the times of rows reach from that of the image, nanoseconds.
+    /// Whether pixels have times of their own: of rows that are read out one after the other, or of cameras that are exposed later than
+    /// others.
+    pub fn has_pixel_times(&self) -> bool {
+        self.has_rolling_shutter() || self.cameras.iter().any(|calibrated| calibrated.delay_s != 0.0)
+    }
+
+    /// How far the times of rows reach from that of the frame, nanoseconds.
     pub(crate) fn row_reach_ns(&self) -> i64 {
         let uncertain = if self.online.readout_time { self.online.sigma_readout_time_s } else { 0.0 };
         row_reach_ns(&self.cameras) + (uncertain * 1e9) as i64
@@ -247,6 +262,7 @@ impl Calibration {
                 calibrated.imu_from_camera.is_finite()
                     && calibrated.camera.validate().is_ok()
                     && calibrated.readout_s.is_finite()
+                    && calibrated.delay_s.is_finite()
             })
     }
 
@@ -286,9 +302,14 @@ pub struct Projection {
 }
 
 impl CalibratedCamera {
-    /// A camera with a global shutter.
+    /// A camera with a global shutter and no delay.
     pub fn new(camera: Camera, imu_from_camera: Pose) -> Self {
-        Self { camera, imu_from_camera, readout_s: 0.0 }
+        Self { camera, imu_from_camera, readout_s: 0.0, delay_s: 0.0 }
+    }
+
+    /// Time at which a pixel was taken after the stamp of its frame, seconds.
+    pub fn pixel_time_s(&self, pixel: &Vector2<f64>) -> f64 {
+        self.delay_s + self.row_fraction(pixel) * self.readout_s
     }
 
     /// Time at which the row of a pixel was read out, as a fraction of the readout time after the middle of it.

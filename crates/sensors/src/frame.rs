@@ -15,7 +15,8 @@ use vision::{GrayImage, ImageError, MAX_IMAGE_FILE_BYTES};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
     /// Time of exposure on the clock of the cameras, nanoseconds. A calibrated offset to the IMU's clock (Kalibr's
-    /// `timeshift_cam_imu`) is added already; what remains is the estimator's to estimate.
+    /// `timeshift_cam_imu` of camera 0) is added already; what remains is the estimator's to estimate, and by how much images of other cameras are
+    /// later is `CameraSensor::delay_s`.
     pub stamp_ns: i64,
     /// The images by the index of their camera; cameras that were not triggered, or whose image is lost, are missing.
     pub images: BTreeMap<usize, ImageData>,

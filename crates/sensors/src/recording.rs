@@ -131,7 +131,7 @@ impl Recording<'_> {
     }
 
     /// What was added to the recorded stamps of the frames to obtain those of the IMU's clock: Kalibr's
-    /// `timeshift_cam_imu` (ns).
+    /// `timeshift_cam_imu` of camera 0 (ns).
     pub fn time_offset_ns(&self) -> i64 {
         match &self.storage {
             Storage::Disk(stored) => stored.time_offset_ns(),

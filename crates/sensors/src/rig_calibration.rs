@@ -1,7 +1,7 @@
 //! The calibration of a robot that plays no recording.
 
 use crate::CalibrationFiles;
-use crate::{CameraSensor, FolderCalibration, SensorCalibration, SequenceError};
+use crate::{FolderCalibration, SensorCalibration, SequenceError};
 use calibration::kalibr;
 use geometry::camera::Camera;
 use std::path::{Path, PathBuf};
@@ -48,13 +48,10 @@ pub fn read_rig_calibration(
     let imu_path: &PathBuf =
         files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;
     let imu = Some(kalibr::read_imu(imu_path, None)?);
-    let sensor = |((camera, imu_from_camera), readout_s)| {
-        let rate_hz = UNSTATED_RATE_HZ;
-        CameraSensor { camera, imu_from_camera, rate_hz, readout_s }
-    };
-    let cameras = chain.cameras.into_iter().zip(chain.readouts_s).map(sensor).collect();
+    let time_offset_ns = chain.time_offset_ns;
+    let cameras = chain.sensors(std::iter::repeat(UNSTATED_RATE_HZ));
     let sensors = SensorCalibration { imu, cameras, wheels: None, gnss: None };
-    Ok(FolderCalibration { sensors, time_offset_ns: chain.time_offset_ns, files })
+    Ok(FolderCalibration { sensors, time_offset_ns, files })
 }
 
 /// Whether a calibration that [`read_rig_calibration`] reads states the projections of the cameras.

@@ -37,12 +37,13 @@ impl<'a> Exposure<'a> {
     /// The pixel of a landmark, if it is in the image.
     pub(crate) fn project(&self, sensor: &CameraSensor, landmark: &Vector3<f64>) -> Option<Vector2<f64>> {
         let camera = &sensor.camera;
+        let has_pixel_times = sensor.readout_s != 0.0 || sensor.delay_s() != 0.0;
         let mut pixel = camera.project(&self.in_camera(sensor, landmark)).ok();
-        if let Some((trajectory, stamp_ns)) = self.moving.filter(|_| sensor.readout_s != 0.0) {
+        if let Some((trajectory, stamp_ns)) = self.moving.filter(|_| has_pixel_times) {
             for _ in 0..ROW_STEPS {
                 // Beyond the first and the last row there is none.
                 let part = ((pixel?.y + 0.5) / f64::from(camera.height)).clamp(0.0, 1.0);
-                let after_s = (part - 0.5) * sensor.readout_s;
+                let after_s = sensor.delay_s() + (part - 0.5) * sensor.readout_s;
                 let world_from_imu = trajectory.at(stamp_ns + (after_s * 1e9).round() as i64).pose;
                 let row = Self { world_from_imu, moving: None };
                 pixel = camera.project(&row.in_camera(sensor, landmark)).ok();
@@ -65,7 +66,7 @@ mod tests {
             Pose::new(UnitQuaternion::from_scaled_axis(Vector3::z() * angle), Vector3::x() * angle)
         };
         let spline = Spline::new(0, 100_000_000, (0..20).map(turned).collect()).unwrap();
-        let sensor = &rig::stereo(10.0, 0.03)[0];
+        let sensor = &rig::stereo(10.0, 0.03, 0.0)[0];
         let stamp_ns = 800_000_000;
         let exposure = Exposure::of(&spline, stamp_ns);
         let ahead = spline.at(stamp_ns).pose;

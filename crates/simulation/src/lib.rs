@@ -71,6 +71,8 @@ pub struct SimulationOptions {
     pub frame_rate_hz: f64,
     /// Readout time of the cameras' rolling shutters, seconds; 0 for global ones.
     pub readout_s: f64,
+    /// Time of the second camera's images after those of the first, seconds, which the calibration states.
+    pub second_delay_s: f64,
     /// IMU samples a second.
     pub imu_rate_hz: f64,
     /// Noise densities of the IMU as its calibration states them; EuRoC's by default.
@@ -126,6 +128,7 @@ impl Default for SimulationOptions {
             live_trajectory: None,
             frame_rate_hz: 10.0,
             readout_s: 0.0,
+            second_delay_s: 0.0,
             imu_rate_hz: 200.0,
             imu_noise: ImuNoise::default(),
             imu_noise_scale: 1.0,
@@ -174,6 +177,7 @@ impl SimulationOptions {
         }
         let not_negative = [
             ("readout_s", self.readout_s),
+            ("second_delay_s", self.second_delay_s),
             ("sigma_track_px", self.sigma_track_px),
             ("sigma_feature_px", self.sigma_feature_px),
         ];
@@ -264,7 +268,7 @@ pub(crate) struct SimulatedWorld {
 pub(crate) fn simulate_world(options: &SimulationOptions) -> Result<SimulatedWorld, SimulationError> {
     options.check()?;
     let trajectories = run::trajectories(options)?;
-    let cameras = rig::stereo(options.frame_rate_hz, options.readout_s);
+    let cameras = rig::stereo(options.frame_rate_hz, options.readout_s, options.second_delay_s);
     let landmarks = world::landmarks(options, &cameras[0], &trajectories.first_laps);
     Ok(SimulatedWorld {
         cameras,

@@ -12,7 +12,8 @@ const BASELINE: f64 = 0.11;
 ///
 /// # Arguments
 /// * `readout_s`: of their rolling shutters, seconds; 0 for global ones.
-pub(crate) fn stereo(rate_hz: f64, readout_s: f64) -> Vec<CameraSensor> {
+/// * `second_delay_s`: time of the second camera's images after those of the first, seconds.
+pub(crate) fn stereo(rate_hz: f64, readout_s: f64, second_delay_s: f64) -> Vec<CameraSensor> {
     let camera = Camera {
         width: 752,
         height: 480,
@@ -28,11 +29,11 @@ pub(crate) fn stereo(rate_hz: f64, readout_s: f64) -> Vec<CameraSensor> {
     // Body: x forward, y left, z up. Camera: x right, y down, z forward.
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    [BASELINE / 2.0, -BASELINE / 2.0]
+    [(BASELINE / 2.0, 0.0), (-BASELINE / 2.0, second_delay_s)]
         .into_iter()
-        .map(|left| {
+        .map(|(left, time_shift_s)| {
             let mounted = Pose::new(rotation, Vector3::new(0.08, left, 0.03));
-            CameraSensor { readout_s, ..CameraSensor::new(camera.clone(), mounted, rate_hz) }
+            CameraSensor { readout_s, time_shift_s, ..CameraSensor::new(camera.clone(), mounted, rate_hz) }
         })
         .collect()
 }

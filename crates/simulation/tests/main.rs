@@ -38,6 +38,7 @@ fn rms_error_m(trial: &simulation::monte_carlo::Trial) -> f64 {
     (squares / errors.local.len() as f64).sqrt()
 }
 
+mod camera_delay_consistency;
 mod gnss_consistency;
 mod lying_map;
 mod map_change_consistency;

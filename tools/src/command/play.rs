@@ -74,7 +74,10 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(session) = opened else { bail!("interrupted before {} answered", args.session.place()) };
     let session = session.context("the Zenoh session cannot be opened")?;
     let topics: Box<dyn SensorTopics> = match args.form {
-        Form::Native => Box::new(NativeTopics::new(&session, runtime.handle(), &args.robot, contents)?),
+        Form::Native => {
+            let cameras = recording.calibration().cameras.len();
+            Box::new(NativeTopics::new(&session, runtime.handle(), &args.robot, cameras, contents)?)
+        }
         Form::Ros2 if !contents.images => {
             bail!(
                 "{} has no images, and ROS 2 has no messages for tracks: play it --as native",

@@ -293,6 +293,14 @@ fn tracker_options(args: &Args) -> Result<TrackerOptions> {
 fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
     let root = args.out.as_deref().unwrap_or(&args.recording);
     let calibration = FolderCalibration::read(&args.recording, &args.calibration.files())?;
+    if let Some(camera) =
+        sequence.cameras.iter().take(cameras).position(|camera| camera.stamp_shift_ns() != 0)
+    {
+        bail!(
+            "the time shift of cam{camera} is more than 5 ms against cam0's: tracks are written with the stamps of frames, which its images do \
+             not have; convert the recording first, which writes images with these stamps"
+        );
+    }
     // tracks.csv has the stamps of data.csv.
     for frame in &mut sequence.frames {
         frame.stamp_ns -= calibration.time_offset_ns;

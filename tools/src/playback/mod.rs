@@ -10,7 +10,7 @@ pub use ros::RosTopics;
 
 use anyhow::Result;
 use onboard::StopSignal;
-use sensors::{Frame, ImuSample, SensorEvent, SensorSource};
+use sensors::{CameraSensor, Frame, ImuSample, SensorEvent, SensorSource};
 use std::time::{Duration, Instant};
 
 /// How often the player checks whether a robot listens, and how often it reports that none does.
@@ -95,6 +95,7 @@ pub fn play(
     time_offset_ns: i64,
     stop: &StopSignal,
 ) -> Result<Published> {
+    let shifts_ns: Vec<i64> = source.calibration().cameras.iter().map(CameraSensor::stamp_shift_ns).collect();
     let (mut published, begin, mut first_ns) = (Published::default(), Instant::now(), None);
     while let Some(event) = source.next()? {
         let Some(stamp_ns) = event.stamp_ns() else { continue };
@@ -109,11 +110,31 @@ pub fn play(
                 published.readings += 1;
             }
             SensorEvent::Frame(frame) => {
-                topics.frame(&Frame { stamp_ns: frame.stamp_ns - time_offset_ns, ..frame })?;
+                for part in as_stamped(frame, &shifts_ns) {
+                    topics.frame(&Frame { stamp_ns: part.stamp_ns - time_offset_ns, ..part })?;
+                }
                 published.frames += 1;
             }
             _ => {}
         }
     }
     Ok(published)
+}
+
+/// A frame in parts whose images have the stamps that their cameras gave them: each robot adds the calibrated shifts itself.
+///
+/// # Arguments
+/// * `shifts_ns`: what was added to the stamps of each camera, nanoseconds.
+fn as_stamped(mut frame: Frame, shifts_ns: &[i64]) -> Vec<Frame> {
+    let mut parts = Vec::new();
+    for (camera, &shift_ns) in shifts_ns.iter().enumerate().filter(|(_, shift_ns)| **shift_ns != 0) {
+        if let Some(image) = frame.images.remove(&camera) {
+            let images = [(camera, image)].into();
+            parts.push(Frame { stamp_ns: frame.stamp_ns - shift_ns, images, ..Frame::default() });
+        }
+    }
+    if parts.is_empty() || !frame.images.is_empty() || !frame.tracks.is_empty() {
+        parts.push(frame);
+    }
+    parts
 }

@@ -14,7 +14,7 @@ use zenoh::qos::CongestionControl;
 pub struct NativeTopics<'a> {
     runtime: Handle,
     imu: Publisher<'a>,
-    cameras: [Publisher<'a>; 2],
+    cameras: Vec<Publisher<'a>>,
     tracks: Publisher<'a>,
     contents: Contents,
 }
@@ -23,11 +23,18 @@ impl NativeTopics<'_> {
     /// Declares the topics of a robot.
     ///
     /// # Arguments
+    /// * `cameras`: how many the recording has.
     /// * `contents`: of the recording; tracks are played where it has them, else images.
     ///
     /// # Errors
     /// The name of the robot cannot be part of a key, or the session is closed.
-    pub fn new(session: &zenoh::Session, runtime: &Handle, robot: &str, contents: Contents) -> Result<Self> {
+    pub fn new(
+        session: &zenoh::Session,
+        runtime: &Handle,
+        robot: &str,
+        cameras: usize,
+        contents: Contents,
+    ) -> Result<Self> {
         let declare = |key: String| {
             let declared = runtime.block_on(async {
                 session.declare_publisher(key.clone()).congestion_control(CongestionControl::Block).await
@@ -37,7 +44,9 @@ impl NativeTopics<'_> {
         Ok(Self {
             runtime: runtime.clone(),
             imu: declare(keys::robot_imu(robot)?)?,
-            cameras: [declare(keys::robot_camera(robot, 0)?)?, declare(keys::robot_camera(robot, 1)?)?],
+            cameras: (0..cameras)
+                .map(|camera| declare(keys::robot_camera(robot, camera)?))
+                .collect::<Result<_>>()?,
             tracks: declare(keys::robot_tracks(robot)?)?,
             contents,
         })

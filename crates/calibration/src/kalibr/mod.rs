@@ -5,7 +5,7 @@
 //! | `T_cam_imu` | takes coordinates in the IMU's frame to the camera's | `imu_from_camera` is its inverse |
 //! | `T_cn_cnm1` | takes coordinates in the frame of the camera before to this one's | used where `T_cam_imu` is not there |
 //! | `T_imu_cam` | the inverse, as OpenVINS writes it | `imu_from_camera` |
-//! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | added to the stamps of frames |
+//! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | that of camera 0 is added to the stamps of frames, those of the others are `time_shift_s` against it |
 //! | `line_delay` | time from row to row of a rolling shutter, seconds | `readout_s`, that of all rows; stamps are those of the middle row |
 //!
 //! Camera models are `pinhole` (`none`, `radtan`, `equidistant`, `fov`), `ds`, `eucm` and `omni` (`radtan`, `none`), with Kalibr's order of
@@ -23,17 +23,13 @@ pub use other_programs::is_kimera_left;
 pub use rigs::is_rig;
 pub use topics::{COMPRESSED, camera_topics, chosen_cameras, is_same_camera};
 
-use crate::CalibrationError;
-use crate::yaml::{Lens, MatrixYaml, parse, pose_from_matrix, read_text, readout_time};
+use crate::yaml::{Lens, MatrixYaml, checked_time_shift, parse, pose_from_matrix, read_text, readout_time};
+use crate::{CalibrationError, CameraSensor};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use serde::Deserialize;
 use std::path::Path;
 
-/// One time shift serves all cameras; a difference of theirs above this is reported, seconds.
-const MAX_SHIFT_DIFFERENCE_S: f64 = 1e-3;
-/// Time shifts beyond this are mistakes: other units, or recordings of different times, seconds.
-const MAX_SHIFT_S: f64 = 10.0;
 const CHAIN: &str = "camera chain of Kalibr";
 
 #[derive(Deserialize)]
@@ -89,8 +85,32 @@ pub struct CameraChain {
     pub cameras: Vec<(Camera, Pose)>,
     /// Readout time of each of them, seconds: 0 where the file states none, which is a global shutter.
     pub readouts_s: Vec<f64>,
-    /// Added to the time stamps of the cameras to obtain the IMU's, nanoseconds.
+    /// Added to the time stamps of the first of them to obtain the IMU's, nanoseconds.
     pub time_offset_ns: i64,
+    /// Of each of them, what is added to its time stamps besides, seconds: 0 for the first.
+    pub time_shifts_s: Vec<f64>,
+}
+
+impl CameraChain {
+    /// Whose cameras have one time shift and global shutters.
+    fn with_one_shift(cameras: Vec<(Camera, Pose)>, time_offset_ns: i64) -> Self {
+        let none = vec![0.0; cameras.len()];
+        Self { cameras, readouts_s: none.clone(), time_offset_ns, time_shifts_s: none }
+    }
+
+    /// The cameras as sensors.
+    ///
+    /// # Arguments
+    /// * `rates_hz`: images a second of each of them.
+    pub fn sensors(self, rates_hz: impl IntoIterator<Item = f64>) -> Vec<CameraSensor> {
+        let times = self.readouts_s.into_iter().zip(self.time_shifts_s);
+        let sensor = |(((camera, imu_from_camera), (readout_s, time_shift_s)), rate_hz)| CameraSensor {
+            readout_s,
+            time_shift_s,
+            ..CameraSensor::new(camera, imu_from_camera, rate_hz)
+        };
+        self.cameras.into_iter().zip(times).zip(rates_hz).map(sensor).collect()
+    }
 }
 
 /// Whether a text is a camera chain.
@@ -199,15 +219,8 @@ pub fn read_camera_chain(
         shifts.push(time_shift(path, index, camera)?);
     }
     let shift = shifts.first().copied().unwrap_or(0.0);
-    let difference = shifts.iter().map(|other| (other - shift).abs()).fold(0.0, f64::max);
-    if difference > MAX_SHIFT_DIFFERENCE_S {
-        tracing::warn!(
-            "{}: the timeshift_cam_imu of the cameras differ by {:.1} ms; that of camera 0 is used for all",
-            path.display(),
-            difference * 1e3
-        );
-    }
-    Ok(CameraChain { cameras, readouts_s, time_offset_ns: (shift * 1e9).round() as i64 })
+    let time_shifts_s = shifts.iter().map(|own| own - shift).collect();
+    Ok(CameraChain { cameras, readouts_s, time_offset_ns: (shift * 1e9).round() as i64, time_shifts_s })
 }
 
 /// The cameras of a rig that a recording has.
@@ -224,8 +237,7 @@ fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<Came
         rig.cameras.get(*index).cloned().ok_or_else(|| CalibrationError::entry(path, problem()))
     };
     let cameras = chosen.iter().map(camera).collect::<Result<Vec<_>, _>>()?;
-    let readouts_s = vec![0.0; cameras.len()];
-    Ok(CameraChain { cameras, readouts_s, time_offset_ns: rig.time_offset_ns })
+    Ok(CameraChain::with_one_shift(cameras, rig.time_offset_ns))
 }
 
 /// Whether a chain states the intrinsics of all of its cameras.
@@ -289,11 +301,5 @@ fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Optio
 }
 
 fn time_shift(path: &Path, index: usize, yaml: &CameraYaml) -> Result<f64, CalibrationError> {
-    let shift = yaml.timeshift_cam_imu;
-    if shift.is_finite() && shift.abs() < MAX_SHIFT_S {
-        return Ok(shift);
-    }
-    let problem =
-        format!("timeshift_cam_imu of cam{index} is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
-    Err(CalibrationError::entry(path, problem))
+    checked_time_shift(path, &format!("timeshift_cam_imu of cam{index}"), yaml.timeshift_cam_imu)
 }

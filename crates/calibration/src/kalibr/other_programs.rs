@@ -3,10 +3,10 @@
 //! Kimera has one file a sensor with the entries of EuRoC's `sensor.yaml`: `LeftCameraParams.yaml`, `RightCameraParams.yaml`,
 //! `ImuParams.yaml`.
 
-use super::{CameraChain, MAX_SHIFT_S, read_text};
+use super::{CameraChain, read_text};
 use crate::CalibrationError;
 use crate::sensor_yaml::read_camera;
-use crate::yaml::parse;
+use crate::yaml::{checked_time_shift, parse};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -93,8 +93,7 @@ pub(super) fn read_kimera_cameras(path: &Path, count: usize) -> Result<CameraCha
     }
     let read = |path: &PathBuf| read_camera(path).map(|sensor| (sensor.camera, sensor.imu_from_camera));
     let cameras = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    let readouts_s = vec![0.0; cameras.len()];
-    Ok(CameraChain { cameras, readouts_s, time_offset_ns: time_offset_ns(&path.with_file_name(KIMERA_IMU))? })
+    Ok(CameraChain::with_one_shift(cameras, time_offset_ns(&path.with_file_name(KIMERA_IMU))?))
 }
 
 /// The file of the right camera.
@@ -118,9 +117,5 @@ fn time_offset_ns(path: &Path) -> Result<i64, CalibrationError> {
         return Ok(0);
     }
     let ShiftYaml { imu_time_shift: shift } = parse(path, KIMERA_IMU, &read_text(path)?)?;
-    if shift.is_finite() && shift.abs() < MAX_SHIFT_S {
-        return Ok((shift * 1e9).round() as i64);
-    }
-    let problem = format!("imu_time_shift is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
-    Err(CalibrationError::entry(path, problem))
+    Ok((checked_time_shift(path, "imu_time_shift", shift)? * 1e9).round() as i64)
 }

@@ -1,4 +1,4 @@
-//! Motion about the images of rolling-shutter cameras, from the readings of the IMU.
+//! Motion about the images of cameras with a rolling shutter or a delay, from the readings of the IMU.
 
 use super::Estimator;
 use super::time_update::IMU_SLACK_NS;
@@ -8,9 +8,9 @@ use std::sync::Arc;
 use types::ImuSample;
 
 impl Estimator {
-    /// Whether the rows of images have times of their own; without, nothing here is called.
-    pub(super) fn has_rolling_shutter(&self) -> bool {
-        self.state.calibration.has_rolling_shutter()
+    /// Whether pixels have times of their own; without, nothing here is called.
+    pub(super) fn has_pixel_times(&self) -> bool {
+        self.state.calibration.has_pixel_times()
     }
 
     /// The readings since the newest image are those after it: before they are integrated.

@@ -39,7 +39,7 @@ impl Estimator {
 
     /// An answer whose pixels are those that its camera would have seen from its pose at the time of the image.
     pub(super) fn seen_from_the_image(&self, clone: CloneId, mut answer: MapAnswer) -> MapAnswer {
-        if !self.has_rolling_shutter() {
+        if !self.has_pixel_times() {
             return answer;
         }
         let global_from_camera = self.state.clone_index(clone).and_then(|index| {

@@ -92,8 +92,8 @@ impl Estimator {
         if self.config.first_estimates {
             first_estimates::renew(&mut self.state, &mut self.covariance);
         }
-        let has_rolling_shutter = self.has_rolling_shutter();
-        if has_rolling_shutter {
+        let has_pixel_times = self.has_pixel_times();
+        if has_pixel_times {
             self.note_motion_after(&readings);
         }
         let mut propagation = self.propagation();
@@ -105,7 +105,7 @@ impl Estimator {
         self.state.stamp_ns = stamp_ns;
         self.state.first_motion = MotionEstimate::of(&propagated.state);
         self.imu.remove_before(stamp_ns);
-        Ok(has_rolling_shutter.then(|| self.motion_before(&readings)))
+        Ok(has_pixel_times.then(|| self.motion_before(&readings)))
     }
 
     /// A propagation from the state, with nothing integrated yet.
@@ -135,7 +135,7 @@ impl Estimator {
             self.covariance.add_dependences(&[Dependence { begin: dim, of: IMU_DIM, jacobian: motion }]);
         }
         let pose = self.state.imu.local_from_imu;
-        let motion = self.has_rolling_shutter().then(|| self.motion_around(stamp_ns, motion_before));
+        let motion = self.has_pixel_times().then(|| self.motion_around(stamp_ns, motion_before));
         self.state.clones.push(ClonedPose {
             id,
             stamp_ns,

@@ -5,7 +5,8 @@
 //! ```text
 //! τ(v) = ((v + ½) / H - ½) r
 //! ```
-//! after it. A pixel is predicted from the IMU's pose at the time of its own row, as measured: a pixel of error is a row, some
+//! after it, and a camera that is exposed later than the stamp of its frame by a delay (Kalibr's `timeshift_cam_imu` of several cameras) that much
+//! later. A pixel is predicted from the IMU's pose at the time of its own row, as measured: a pixel of error is a row, some
 //! ten microseconds.
 //!
 //! # Pose of a row

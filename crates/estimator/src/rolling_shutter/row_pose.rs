@@ -81,7 +81,7 @@ impl RowPose {
         };
         let calibrated = &state.calibration.cameras[camera];
         let fraction = calibrated.row_fraction(pixel);
-        let seconds = fraction * calibrated.readout_s;
+        let seconds = calibrated.pixel_time_s(pixel);
         let relative = motion.at(seconds);
         let unshifted = *own * relative.clone_from_imu;
         let mut rate = Vector6::zeros();
@@ -180,7 +180,10 @@ mod tests {
     #[test]
     fn the_dependence_of_a_row_is_its_numeric_derivative() {
         // Of clones that differ from the readings by 26 mm, a third of that at most is neglected.
-        for (scene, tolerance) in [(rolling_scene(0.03, true), 1e-6), (rolling_scene(0.03, false), 8e-3)] {
+        let mut late = rolling_scene(0.0, true);
+        late.state.calibration.cameras[0].delay_s = 0.004;
+        let scenes = [(rolling_scene(0.03, true), 1e-6), (rolling_scene(0.03, false), 8e-3), (late, 1e-6)];
+        for (scene, tolerance) in scenes {
             for (clone, pixel) in [0, 3, 7].into_iter().flat_map(|clone| pixels().map(|pixel| (clone, pixel)))
             {
                 let row = |state: &ActiveState| RowPose::of(state, clone, 0, &pixel, Estimates::Newest);
@@ -219,7 +222,8 @@ mod tests {
 
     #[test]
     fn a_row_moves_with_the_frame_at_any_estimates() {
-        let scene = rolling_scene(0.03, false);
+        let mut scene = rolling_scene(0.03, false);
+        scene.state.calibration.cameras[0].delay_s = -0.003;
         let turn = Pose::new(rotation::exp(&Vector3::new(0.3, -0.2, 1.4)), Vector3::new(5.0, -7.0, 2.0));
         let mut moved = scene.state.clone();
         for clone in &mut moved.clones {
@@ -250,13 +254,16 @@ mod tests {
 
     #[test]
     fn where_the_clones_agree_with_the_readings_the_row_is_where_these_say() {
-        let scene = rolling_scene(0.03, true);
-        for (clone, pixel) in [0, 4, 7].into_iter().zip(pixels()) {
-            let row = RowPose::of(&scene.state, clone, 0, &pixel, Estimates::Newest);
-            let own = &scene.state.clones[clone];
-            let seconds = scene.state.calibration.cameras[0].row_fraction(&pixel) * 0.03;
-            let expected = own.local_from_imu * own.motion.as_ref().unwrap().at(seconds).clone_from_imu;
-            assert!(row.local_from_imu.local(&expected).amax() < 1e-12);
+        let mut scene = rolling_scene(0.03, true);
+        for delay_s in [0.0, 0.004] {
+            scene.state.calibration.cameras[0].delay_s = delay_s;
+            for (clone, pixel) in [0, 4, 7].into_iter().zip(pixels()) {
+                let row = RowPose::of(&scene.state, clone, 0, &pixel, Estimates::Newest);
+                let own = &scene.state.clones[clone];
+                let seconds = delay_s + scene.state.calibration.cameras[0].row_fraction(&pixel) * 0.03;
+                let expected = own.local_from_imu * own.motion.as_ref().unwrap().at(seconds).clone_from_imu;
+                assert!(row.local_from_imu.local(&expected).amax() < 1e-12);
+            }
         }
     }
 

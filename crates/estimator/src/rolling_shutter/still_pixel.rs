@@ -1,4 +1,4 @@
-//! Pixels as a camera would have seen them that did not turn while the image was read out.
+//! Pixels as a camera would have seen them that did not turn while the image was read out, at the time of its frame.
 //!
 //! For what knows no pose of a row: the start in motion, and the recognition of a place. The turn during the readout moves the outer
 //! rows by some pixels and is known from the gyroscope; the translation moves them by as much as the landmarks are near, which is not
@@ -39,7 +39,7 @@ pub fn still_pixel(
     motion: &MotionAround,
     pixel: &Vector2<f64>,
 ) -> Vector2<f64> {
-    let seconds = calibrated.row_fraction(pixel) * calibrated.readout_s;
+    let seconds = calibrated.pixel_time_s(pixel);
     let imu_from_camera = calibrated.imu_from_camera.rotation;
     let image_from_row =
         imu_from_camera.inverse() * motion.at(seconds).clone_from_imu.rotation * imu_from_camera;

@@ -9,6 +9,7 @@ use crate::{
 };
 use bags::Bag;
 use calibration::kalibr::{self, CameraChain};
+use calibration::relative_time_shifts;
 use calibration::sensor_yaml;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
@@ -17,8 +18,8 @@ use std::path::{Path, PathBuf};
 /// The calibration of the sensors of a bag, without the rates that it does not state.
 pub(super) struct BagCalibration {
     cameras: Cameras,
-    /// Readout times of rolling shutters that a camera chain states, by camera, seconds.
-    readouts_s: Vec<f64>,
+    /// Driftless recorded the images on the clock of the IMU.
+    is_on_imu_clock: bool,
     imu: Option<Imu>,
     wheels: Option<WheelSensor>,
     gnss: Option<GnssSensor>,
@@ -28,6 +29,7 @@ pub(super) struct BagCalibration {
 
 enum Cameras {
     WithoutRates(Vec<(Camera, Pose)>),
+    Chain(CameraChain),
     Complete(Vec<CameraSensor>),
 }
 
@@ -65,10 +67,12 @@ impl BagCalibration {
             |((camera, imu_from_camera), &rate_hz)| CameraSensor::new(camera, imu_from_camera, rate_hz);
         let mut cameras: Vec<CameraSensor> = match self.cameras {
             Cameras::WithoutRates(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
+            Cameras::Chain(chain) => chain.sensors(cameras_hz.iter().copied()),
             Cameras::Complete(cameras) => cameras,
         };
-        for (camera, readout_s) in cameras.iter_mut().zip(self.readouts_s) {
-            camera.readout_s = readout_s;
+        for camera in cameras.iter_mut().filter(|camera| self.is_on_imu_clock && camera.stamp_shift_ns() != 0)
+        {
+            camera.time_shift_s = 0.0;
         }
         Ok(SensorCalibration { imu, cameras, wheels: self.wheels, gnss: self.gnss })
     }
@@ -88,7 +92,7 @@ pub(super) fn read(
     let path = bag.path();
     let is_named = files.cameras.is_some();
     let (root, files) = files_of(path, files)?;
-    let (cameras, readouts_s, time_offset_ns) = match &files.cameras {
+    let (cameras, time_offset_ns) = match &files.cameras {
         Some(file) => {
             let infos = camera_infos(bag, sensors)?;
             let topics = bag.topics();
@@ -96,23 +100,26 @@ pub(super) fn read(
                 sensors.cameras.iter().map(|camera| topics[camera.images].name.as_str()).collect();
             let has_topic = |of: &str| topics.iter().any(|topic| kalibr::is_same_camera(&topic.name, of));
             let chosen = kalibr::chosen_cameras(file, &names, has_topic)?;
-            let CameraChain { cameras, readouts_s, time_offset_ns } =
-                kalibr::read_camera_chain(file, &infos, &chosen)?;
-            (Cameras::WithoutRates(cameras), readouts_s, time_offset_of(bag, file, time_offset_ns))
+            let chain = kalibr::read_camera_chain(file, &infos, &chosen)?;
+            let time_offset_ns = time_offset_of(bag, file, chain.time_offset_ns);
+            (Cameras::Chain(chain), time_offset_ns)
         }
         None if is_named || euroc_path(&root, "cam0").is_file() => {
-            (Cameras::Complete(euroc_cameras(path, &root, sensors.cameras.len())?), Vec::new(), 0)
+            let mut cameras = euroc_cameras(path, &root, sensors.cameras.len())?;
+            let time_offset_ns = relative_time_shifts(&mut cameras);
+            (Cameras::Complete(cameras), time_offset_of(bag, &root, time_offset_ns))
         }
-        None => (recorded_cameras(bag, &root, sensors)?, Vec::new(), 0),
+        None => (recorded_cameras(bag, &root, sensors)?, 0),
     };
+    let is_own = recorded::is_own(bag);
     let imu = match (sensors.imu, files.imu) {
         (None, _) => None,
-        (Some(_), Some(file)) => Some(Imu::Kalibr { file, is_corrected: recorded::is_own(bag) }),
+        (Some(_), Some(file)) => Some(Imu::Kalibr { file, is_corrected: is_own }),
         (Some(_), None) => Some(Imu::Complete(Box::new(imu_without_kalibr(bag, &root)?))),
     };
     let wheels = wheels.and_then(|wheels| wheels.calibration(bag, sensors.imu));
     let gnss = gnss.and_then(|gnss| gnss.calibration(bag, sensors.imu));
-    Ok(BagCalibration { cameras, readouts_s, imu, wheels, gnss, time_offset_ns })
+    Ok(BagCalibration { cameras, is_on_imu_clock: is_own, imu, wheels, gnss, time_offset_ns })
 }
 
 /// The offset of a camera chain, which images that Driftless recorded have in their stamps already.

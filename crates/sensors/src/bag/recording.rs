@@ -14,7 +14,7 @@ use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
     CalibrationFiles, Frame, GnssReading, ImuSample, PairCounts, SensorCalibration, SequenceError,
-    WheelReading, WheelReadings, camera_groups,
+    WheelReading, WheelReadings,
 };
 use bags::Bag;
 use geometry::Pose;
@@ -84,14 +84,13 @@ impl BagRecording {
         let time_offset_ns = calibration.time_offset_ns;
         let cameras_hz: Vec<f64> = cameras.iter().map(|camera| camera.rate_hz()).collect();
         let calibration = calibration.with_rates(imu.as_ref().map(StampedTopic::rate_hz), &cameras_hz)?;
-        let groups = camera_groups(&calibration.cameras);
         let recording = Self {
             bag: Arc::new(bag),
             imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
             accelerometer: accelerometer.map(Arc::new),
             wheels: wheels.map(|(topic, how)| (Arc::new(topic), how)),
             gnss: gnss.map(|(topic, how)| (Arc::new(topic), how)),
-            cameras: Arc::new(Cameras::new(cameras, &groups, files.pair_tolerance_ns())),
+            cameras: Arc::new(Cameras::new(cameras, &calibration.cameras, files.pair_tolerance_ns())),
             imu_intake: ImuIntake::new(files.imu_units, calibration.imu.as_ref()),
             time_offset_ns,
         };

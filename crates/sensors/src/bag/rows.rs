@@ -5,7 +5,7 @@ use super::index::{Stamped, StampedTopic};
 use super::messages;
 use crate::pairing::{JoinedImages, PairCounts, join};
 use crate::ros::imu_sample;
-use crate::{CameraGroup, Frame, ImageData, ImuSample, SequenceError};
+use crate::{CameraSensor, Frame, ImageData, ImuSample, SequenceError, camera_groups};
 use bags::Bag;
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::Imu;
@@ -73,13 +73,14 @@ pub(super) struct Cameras {
 }
 
 impl Cameras {
-    pub(super) fn new(topics: Vec<Arc<StampedTopic>>, groups: &[CameraGroup], tolerance_ns: i64) -> Self {
-        let stamps = |topic: &Arc<StampedTopic>| -> Vec<i64> {
-            topic.messages.iter().map(|message| message.stamp_ns).collect()
+    pub(super) fn new(topics: Vec<Arc<StampedTopic>>, cameras: &[CameraSensor], tolerance_ns: i64) -> Self {
+        let stamps = |(topic, camera): (&Arc<StampedTopic>, &CameraSensor)| -> Vec<i64> {
+            let shift_ns = camera.stamp_shift_ns();
+            topic.messages.iter().map(|message| message.stamp_ns.saturating_add(shift_ns)).collect()
         };
-        let stamps: Vec<Vec<i64>> = topics.iter().map(stamps).collect();
+        let stamps: Vec<Vec<i64>> = topics.iter().zip(cameras).map(stamps).collect();
         let stamps: Vec<&[i64]> = stamps.iter().map(Vec::as_slice).collect();
-        let (frames, pairs) = join(groups, &stamps, tolerance_ns);
+        let (frames, pairs) = join(&camera_groups(cameras), &stamps, tolerance_ns);
         Self { topics, frames, pairs }
     }
 }

@@ -9,13 +9,11 @@ use crate::imu_intake::ImuIntake;
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CameraSensor, Frame, GnssReading, GnssSensor, ImuSample, PairCounts, ReferencePose, SensorCalibration,
-    SequenceError, Table, TruthRow, WheelReading,
+    Frame, GnssReading, GnssSensor, ImuSample, PairCounts, ReferencePose, SensorCalibration, SequenceError,
+    Table, TruthRow, WheelReading,
 };
 use calibration::kalibr;
-use calibration::sensor_yaml;
-use geometry::camera::Camera;
-use geometry::pose::Pose;
+use calibration::{relative_time_shifts, sensor_yaml};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -43,7 +41,7 @@ pub(crate) struct Folder {
 pub struct FolderCalibration {
     /// The sensors.
     pub sensors: SensorCalibration,
-    /// What was added to the time stamps of the images to obtain the IMU's, nanoseconds: Kalibr's `timeshift_cam_imu`.
+    /// What was added to the time stamps of the images to obtain the IMU's, nanoseconds: the `timeshift_cam_imu` of camera 0.
     pub time_offset_ns: i64,
     /// Kalibr's files, where they were used in place of `sensor.yaml`.
     pub files: CalibrationFiles,
@@ -86,22 +84,17 @@ impl FolderCalibration {
         let folders = (0..count).map(|index| mav.join(format!("cam{index}")));
         let Some(path) = &files.cameras else {
             let read = |folder: PathBuf| sensor_yaml::read_camera(&folder.join("sensor.yaml"));
-            let cameras = folders.map(read).collect::<Result<_, _>>()?;
-            return Ok(Self {
-                sensors: SensorCalibration { imu, cameras, wheels, gnss },
-                time_offset_ns: 0,
-                files,
-            });
+            let mut cameras = folders.map(read).collect::<Result<Vec<_>, _>>()?;
+            let time_offset_ns = relative_time_shifts(&mut cameras);
+            let sensors = SensorCalibration { imu, cameras, wheels, gnss };
+            return Ok(Self { sensors, time_offset_ns, files });
         };
         let chain = kalibr::read_camera_chain(path, &vec![None; count], &(0..count).collect::<Vec<_>>())?;
-        let sensor = |(((camera, imu_from_camera), readout_s), folder): (((Camera, Pose), f64), PathBuf)| {
-            let rate_hz = rate_of(&folder.join("data.csv"))?;
-            Ok(CameraSensor { camera, imu_from_camera, rate_hz, readout_s })
-        };
-        let cameras = chain.cameras.into_iter().zip(chain.readouts_s).zip(folders);
-        let cameras = cameras.map(sensor).collect::<Result<_, SequenceError>>()?;
-        let sensors = SensorCalibration { imu, cameras, wheels, gnss };
-        Ok(Self { sensors, time_offset_ns: chain.time_offset_ns, files })
+        let rates_hz = folders.map(|folder| rate_of(&folder.join("data.csv")));
+        let rates_hz = rates_hz.collect::<Result<Vec<f64>, SequenceError>>()?;
+        let time_offset_ns = chain.time_offset_ns;
+        let sensors = SensorCalibration { imu, cameras: chain.sensors(rates_hz), wheels, gnss };
+        Ok(Self { sensors, time_offset_ns, files })
     }
 }
 

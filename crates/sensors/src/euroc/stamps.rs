@@ -81,7 +81,12 @@ impl FrameStamps {
     pub(super) fn read(mav: &Path, cameras: &[CameraSensor], tolerance_ns: i64) -> Self {
         let read = |camera| TableStamps::read(&mav.join(format!("cam{camera}/data.csv")));
         let tables: Vec<TableStamps> = (0..cameras.len()).map(read).collect();
-        let stamps: Vec<&[i64]> = tables.iter().map(|table| table.used.as_slice()).collect();
+        let shifted = tables.iter().zip(cameras).map(|(table, camera)| {
+            let shift_ns = camera.stamp_shift_ns();
+            table.used.iter().map(|stamp_ns| stamp_ns.saturating_add(shift_ns)).collect::<Vec<i64>>()
+        });
+        let shifted: Vec<Vec<i64>> = shifted.collect();
+        let stamps: Vec<&[i64]> = shifted.iter().map(Vec::as_slice).collect();
         let (frames, pairs) = join(&camera_groups(cameras), &stamps, tolerance_ns);
         Self { frames, images: tables, pairs }
     }

@@ -216,6 +216,10 @@ fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
     if sensor.readout_s != 0.0 {
         writeln!(out, "line_delay: {}", sensor.readout_s / f64::from(sensor.camera.height))?;
     }
+    // Larger shifts are in the stamps that are written.
+    if sensor.delay_s() != 0.0 {
+        writeln!(out, "timeshift_cam_imu: {}", sensor.delay_s())?;
+    }
     write!(out, "{}", calibration::projection_yaml(&sensor.camera))
 }
 

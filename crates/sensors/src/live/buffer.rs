@@ -9,7 +9,9 @@ use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
 use super::stream::Stream;
 use crate::imu_intake::ImuIntake;
-use crate::{ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups};
+use crate::{
+    CameraSensor, ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups,
+};
 use protocol::FeatureSet;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::SyncSender;
@@ -37,6 +39,8 @@ pub(super) enum Ready {
 pub(super) struct LiveBuffer {
     max_waiting_frames: usize,
     camera_offset_ns: i64,
+    /// Added besides to those of each camera, nanoseconds.
+    stamp_shifts_ns: Vec<i64>,
     imu_intake: ImuIntake,
     imu: Lane<ImuSample>,
     cameras: Vec<Lane<LiveImage>>,
@@ -77,6 +81,7 @@ impl LiveBuffer {
         Self {
             max_waiting_frames: settings.max_waiting_frames.max(1),
             camera_offset_ns: settings.camera_offset_ns,
+            stamp_shifts_ns: calibration.cameras.iter().map(CameraSensor::stamp_shift_ns).collect(),
             imu_intake: ImuIntake::new(settings.imu_units, calibration.imu.as_ref()),
             imu: Lane::new(Stream::Imu, calibration.imu.as_ref().map(|imu| imu.rate_hz)),
             repetitions: cameras.iter().map(|_| Repetition::default()).collect(),
@@ -155,9 +160,9 @@ impl LiveBuffer {
 
     pub(super) fn image(&mut self, camera: usize, stamp_ns: i64, image: LiveImage, now: Duration) {
         let stream = Stream::Camera(camera);
-        let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns);
         // Images of a camera that is not used are dropped.
         let Some(lane) = self.cameras.get_mut(camera) else { return };
+        let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns + self.stamp_shifts_ns[camera]);
         lane.arrived(now);
         if !self.is_stamp(stream, stamp_ns, now) {
             return;

@@ -28,7 +28,7 @@ pub struct LiveSettings {
     pub camera_rate_is_stated: bool,
     /// Largest difference between the stamps of the images of a frame, nanoseconds.
     pub pair_tolerance_ns: i64,
-    /// Added to the stamps of images, nanoseconds: Kalibr's `timeshift_cam_imu`.
+    /// Added to the stamps of images, nanoseconds: the `timeshift_cam_imu` of camera 0.
     pub camera_offset_ns: i64,
     /// Units of the IMU's readings.
     pub imu_units: ImuUnits,

@@ -175,6 +175,48 @@ fn files_in_the_folder_are_found_by_their_content() {
 }
 
 #[test]
+fn cameras_have_time_shifts_of_their_own() {
+    let written = sequence(2);
+    let folder = without_calibration(&written);
+    std::fs::write(folder.path().join("imu.yaml"), IMU).unwrap();
+    let list = folder.path().join("mav0/cam1/data.csv");
+    let stamped = std::fs::read_to_string(&list).unwrap();
+    // The stamps of the second camera are late by what Kalibr finds; a delay of the exposure is in none.
+    for (late_ns, delay_ns) in [(0, 0), (0, 2_000_000), (30_000_000, 0), (-8_000_000, 0)] {
+        let shift_ns = SHIFT_NS - late_ns + delay_ns;
+        let text = chain(&written, false);
+        let (first, second) = text.split_at(text.find("cam1:").unwrap());
+        let own = format!("timeshift_cam_imu: {}", SHIFT_NS as f64 * 1e-9);
+        assert!(second.contains(&own));
+        let second = second.replace(&own, &format!("timeshift_cam_imu: {}", shift_ns as f64 * 1e-9));
+        std::fs::write(folder.path().join("camchain.yaml"), format!("{first}{second}")).unwrap();
+        let restamped = |line: &str| match line.split_once(',') {
+            Some((stamp, rest)) if !line.starts_with('#') => {
+                format!("{},{rest}\n", stamp.parse::<i64>().unwrap() + late_ns)
+            }
+            _ => format!("{line}\n"),
+        };
+        std::fs::write(&list, stamped.lines().map(restamped).collect::<String>()).unwrap();
+        for tables in ["tracks.csv", "features.csv"] {
+            let _ = std::fs::remove_file(folder.path().join("mav0/cam1").join(tables));
+        }
+        let read = Sequence::open(folder.path()).unwrap();
+        assert!((read.cameras[1].delay_s() - delay_ns as f64 * 1e-9).abs() < 1e-12);
+        assert_eq!(read.frames.len(), written.frames.len(), "{late_ns} ns late: the images are joined");
+        for (a, b) in read.frames.iter().zip(&written.frames) {
+            assert_eq!(a.stamp_ns, b.stamp_ns + SHIFT_NS);
+        }
+        // What is written has the stamps of the frames, and states the delay.
+        let copy = tempfile::tempdir().unwrap();
+        writer::write(&read, copy.path()).unwrap();
+        let again = Sequence::open(copy.path()).unwrap();
+        assert!((again.cameras[1].delay_s() - read.cameras[1].delay_s()).abs() < 1e-15);
+        let stamps = |of: &Sequence| of.frames.iter().map(|frame| frame.stamp_ns).collect::<Vec<_>>();
+        assert_eq!(stamps(&again), stamps(&read));
+    }
+}
+
+#[test]
 fn named_files_come_before_sensor_yaml_and_found_files_after_it() {
     let written = sequence(2);
     let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());

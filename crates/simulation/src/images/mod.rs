@@ -111,7 +111,7 @@ pub fn simulate_images(
         return Err(SimulationError::NoRoom);
     }
     let trajectories = run::trajectories(options)?;
-    let sensors = rig::stereo(options.frame_rate_hz, 0.0);
+    let sensors = rig::stereo(options.frame_rate_hz, 0.0, 0.0);
     let room = Arc::new(FurnishedRoom::new(options.seed));
     let cameras = Arc::new(Cameras::new(&sensors));
     let record = |kind: Kind, name: &'static str, trajectory: Spline| {

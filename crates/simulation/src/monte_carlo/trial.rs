@@ -144,6 +144,7 @@ impl Seed<'_> {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
                 readout_s: sensor.readout_s,
+                delay_s: sensor.delay_s(),
             })
             .collect();
         let stated = self.options.calibration.draw(self.number, &truth);

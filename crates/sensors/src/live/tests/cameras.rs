@@ -20,6 +20,20 @@ fn pairs_are_joined_within_the_tolerance_and_have_the_stamp_of_the_first() {
     }
 }
 
+#[test]
+fn stamps_that_are_late_by_a_calibrated_shift_are_put_right_before_images_are_joined() {
+    let mut calibration = calibration(2);
+    calibration.cameras[1].time_shift_s = -0.02;
+    let late = on_time(2, 5).into_iter().map(|(at, message)| match message {
+        Message::Image(1, stamp_ns, image) => (at, Message::Image(1, stamp_ns + 20 * MS, image)),
+        message => (at, message),
+    });
+    let buffer = LiveBuffer::new(&calibration, &LiveSettings::images(&calibration));
+    let played = play_with(buffer, late.collect(), 6, 0);
+    assert_eq!((played.pairs, played.frames.len()), (100, 100));
+    assert!(played.frames.iter().all(|stamp_ns| (stamp_ns - START_NS) % (CAMERA_MS * MS) == 0));
+}
+
 /// Two cameras on time, one of which gives no image for a while.
 fn interrupted(seconds: i64, camera: usize, gone: &Range<i64>) -> Script {
     let is_lost = |(at, message): &(i64, Message)| {
