@@ -35,8 +35,8 @@ use crate::map_update::place_evidence::PlaceEvidence;
 use crate::motion::AngularRate;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
-use crate::odometry::slam_update;
 use crate::odometry::tracks::TrackStore;
+use crate::odometry::{second_order, slam_update};
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
 use crate::state::ActiveState;
 use crate::wheels::WheelOdometry;
@@ -198,6 +198,7 @@ impl Estimator {
                 gate: Gate::new(config.track_gate),
                 stationary: false,
                 outlier_sigmas: OUTLIER_SIGMAS,
+                second_order_terms: second_order::terms(&state.calibration),
                 learns_noise: config.adaptive_noise.tracks,
                 max_tracks: config.max_tracks,
             },

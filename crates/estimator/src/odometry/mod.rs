@@ -5,6 +5,7 @@ pub mod feature_measurement;
 mod landmark_basis;
 pub mod msckf_update;
 pub mod pixel_measurement;
+pub mod second_order;
 pub mod slam_update;
 pub mod tracks;
 pub mod zero_velocity;

@@ -15,6 +15,7 @@ use crate::noise_adaptation::TRACKS_PER_IMAGE;
 use crate::odometry::delayed_initialization::DelayedInitialization;
 use crate::odometry::feature_measurement::FeatureMeasurement;
 use crate::odometry::pixel_measurement::{Layout, linearize_pixel};
+use crate::odometry::second_order::second_order_px;
 use crate::odometry::tracks::{CloneObservation, Track};
 use crate::rolling_shutter::row_pose::{Estimates, RowPose};
 use crate::state::{ActiveState, Block, CloneId};
@@ -58,6 +59,9 @@ pub struct MsckfSettings {
     /// Residual after triangulation beyond which an observation is an outlier, sigmas. Wide, because the residual contains
     /// the errors of the clones.
     pub outlier_sigmas: f64,
+    /// Number of terms of second order of a track that are counted as noise: 0 for one camera or stereo pair, of which they are small against
+    /// the noise of all tracks together.
+    pub second_order_terms: f64,
     /// Note the NIS of some tracks.
     pub learns_noise: bool,
     /// Maximum number of tracks; the longest are preferred.
@@ -159,8 +163,13 @@ impl MsckfUpdate {
                 landmark = Some(distant.position);
                 self.feature.prior = Some(distant.information);
             }
+            let terms = settings.second_order_terms;
+            let neglected_px = triangulated.as_ref().filter(|_| terms > 0.0).map_or(0.0, |found| {
+                terms * second_order_px(state, covariance, &observations, &found.position)
+            });
+            let noise_px = sigma_px.hypot(neglected_px);
             if landmark
-                .is_none_or(|landmark| !self.linearize(state, &observations, &landmark, settings, sigma_px))
+                .is_none_or(|landmark| !self.linearize(state, &observations, &landmark, settings, noise_px))
             {
                 report.not_triangulated += 1;
                 continue;
@@ -367,6 +376,7 @@ mod tests {
 
     fn settings() -> MsckfSettings {
         MsckfSettings {
+            second_order_terms: 0.0,
             learns_noise: true,
             sigma_px: 1.2,
             first_estimates: true,

@@ -15,7 +15,6 @@ use crate::odometry::pixel_measurement::{
 };
 use crate::odometry::tracks::ShownCameras;
 use crate::state::{ActiveState, Block, CloneId, FEATURE_DIM, POSE_DIM, SlamFeature};
-use geometry::camera_groups;
 use nalgebra::{DVector, SMatrix, SVector};
 use smallvec::SmallVec;
 use std::ops::Range;
@@ -191,9 +190,7 @@ impl SlamUpdate {
 /// What the pixels of a camera err by for long, rad: it does not average out over the many images of a SLAM feature. 0 where one camera or
 /// stereo pair is the only one.
 pub fn lasting_error_rad(calibration: &Calibration) -> f64 {
-    let cameras =
-        calibration.cameras.iter().map(|calibrated| (&calibrated.camera, &calibrated.imu_from_camera));
-    if camera_groups(cameras).len() < 2 { 0.0 } else { LASTING_ERROR_RAD }
+    if calibration.camera_groups().len() < 2 { 0.0 } else { LASTING_ERROR_RAD }
 }
 
 /// Settings of the SLAM feature update.
