@@ -148,3 +148,21 @@ fn covariance_blocks(
 pub(super) fn consistent(loops: &[RelativePose], poses: &[Pose]) -> Vec<RelativePose> {
     loops.iter().filter(|found| found.distance(poses) <= GATE).cloned().collect()
 }
+
+/// Logs by how much refused loops are off: a place that looks like another one is metres away, one that is merely inaccurate is not.
+///
+/// # Arguments
+/// * `found`: all loops; `kept`: those that are not refused.
+/// * `poses`: as they were adjusted with them.
+pub(super) fn log_refused(found: &[RelativePose], kept: &[RelativePose], poses: &[Pose]) {
+    let is_kept = |one: &RelativePose| {
+        kept.iter().any(|kept| kept.views == one.views && kept.first_from_second == one.first_from_second)
+    };
+    for refused in found.iter().filter(|found| !is_kept(found)) {
+        let [first, second] = refused.views;
+        let expected = poses[first].inverse().compose(&poses[second]);
+        let off = refused.first_from_second.local(&expected);
+        let [rotation, position] = [off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm()];
+        tracing::debug!(first, second, off_m = position, off_deg = rotation.to_degrees(), "loop refused");
+    }
+}

@@ -26,7 +26,7 @@ use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::joint_covariance::JointCovariance;
 use super::keyframe_view::{FeatureId, KeyframeView, image_count, keyframes};
-use super::loop_closure::{consistent, find_loops};
+use super::loop_closure::{consistent, find_loops, log_refused};
 use super::matching::{self, FeatureMatch, ImageId};
 use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
@@ -249,7 +249,7 @@ impl<'a, 'p> Builder<'a, 'p> {
         self.report.loops = found.len();
         let mut constraints = self.constraints(&bundle);
         let mut loops =
-            constraints.plausible_loops(&self.rig.cameras, &bundle, found, self.report.sigma_px)?;
+            constraints.plausible_loops(&self.rig.cameras, &bundle, found.clone(), self.report.sigma_px)?;
         while !loops.is_empty() {
             constraints.relative_poses.clone_from(&loops);
             bundle = self.adjust(&constraints, bundle, 1);
@@ -261,6 +261,7 @@ impl<'a, 'p> Builder<'a, 'p> {
             constraints = self.constraints(&bundle);
         }
         self.report.refused_loops = self.report.loops - loops.len();
+        log_refused(&found, &loops, &bundle.poses);
         Ok(bundle)
     }
 

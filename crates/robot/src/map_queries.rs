@@ -162,6 +162,10 @@ impl Robot<'_> {
 
     /// Queries the map with the features of an image, now that they are extracted.
     fn query_extracted(&mut self, extracted: Extracted) {
+        // A camera that is covered or dark gives nothing to ask about.
+        if extracted.features.as_ref().is_ok_and(protocol::FeatureSet::is_empty) {
+            self.query_cameras.note_answer(extracted.image.camera, false);
+        }
         let Some(estimator) = self.supervisor.estimator_since(extracted.stamp_ns) else { return };
         match extracted.features {
             Ok(features) if !features.is_empty() => {
