@@ -1,6 +1,7 @@
 //! Switches of the features of images.
 
 use anyhow::{Context as _, Result, bail};
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use std::path::PathBuf;
 use vision::features::{DEFAULT_EXTRACTOR, open};
 use vision::{FeatureExtractor, GrayImage};
@@ -26,7 +27,7 @@ pub struct FeatureArguments {
     pub max_features: usize,
     /// Image that is black (zero) where camera 0 sees the robot itself; of several cameras one each, separated by commas, in their
     /// order, with nothing between the commas for a camera without a mask
-    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', help_heading = HEADING)]
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', value_parser = mask_path(), help_heading = HEADING)]
     pub mask: Vec<PathBuf>,
 }
 
@@ -80,6 +81,11 @@ impl FeatureArguments {
     pub fn read_masks(&self) -> Result<Vec<Option<GrayImage>>> {
         read_masks(&self.mask)
     }
+}
+
+/// Parses one path of `--mask`, which may be empty, unlike other paths.
+pub fn mask_path() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().map(PathBuf::from)
 }
 
 /// Reads the masks of cameras, in their order; an empty path is that of a camera without one.

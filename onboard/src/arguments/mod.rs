@@ -13,7 +13,7 @@ mod wheels;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
-pub use features::{FeatureArguments, read_masks};
+pub use features::{FeatureArguments, mask_path, read_masks};
 pub use gnss::GnssArguments;
 pub use live::LiveArguments;
 #[cfg(feature = "ros")]

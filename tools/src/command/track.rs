@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use estimator::ReadingCheck;
 use odometry::FrontEnd;
-use onboard::arguments::{CalibrationArguments, read_masks};
+use onboard::arguments::{CalibrationArguments, mask_path, read_masks};
 use onboard::progress;
 use onboard::start::first_rest;
 use sensors::{
@@ -48,7 +48,7 @@ pub struct Args {
     equalize: Equalize,
     /// Image that is black (zero) where camera 0 sees the robot itself; of several cameras one each, separated by commas, in their
     /// order, with nothing between the commas for a camera without a mask
-    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', value_parser = mask_path())]
     mask: Vec<PathBuf>,
     /// Do not use the gyroscope
     #[arg(long)]
