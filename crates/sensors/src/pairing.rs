@@ -5,6 +5,7 @@
 //! without a partner is used as that of one camera, one of the second is left out. Cameras that are no pair need no partner: their
 //! images are joined to the frame of the others where there is one, and are a frame of their own where there is none.
 
+use crate::{CameraSensor, camera_groups};
 use geometry::CameraGroup;
 
 /// Largest difference between the stamps of the images of a pair, nanoseconds, unless another is asked for. Cameras that
@@ -45,6 +46,23 @@ pub(crate) struct JoinedImages {
     pub(crate) images: Vec<Option<usize>>,
 }
 
+/// [`join`] for cameras whose stamps are corrected first by what their time shifts say of them.
+///
+/// # Arguments
+/// * `stamps`: of each camera's images as they were recorded, strictly increasing, nanoseconds.
+pub(crate) fn join_recorded<I: Iterator<Item = i64>>(
+    cameras: &[CameraSensor],
+    stamps: impl Iterator<Item = I>,
+    tolerance_ns: i64,
+) -> (Vec<JoinedImages>, Option<PairCounts>) {
+    let shifted = |(stamps, camera): (I, &CameraSensor)| -> Vec<i64> {
+        stamps.map(|stamp_ns| stamp_ns.saturating_add(camera.stamp_shift_ns())).collect()
+    };
+    let stamps: Vec<Vec<i64>> = stamps.zip(cameras).map(shifted).collect();
+    let stamps: Vec<&[i64]> = stamps.iter().map(Vec::as_slice).collect();
+    join(&camera_groups(cameras), &stamps, tolerance_ns)
+}
+
 /// The frames of the cameras of a rig, in order of time.
 ///
 /// # Arguments
@@ -52,7 +70,7 @@ pub(crate) struct JoinedImages {
 ///
 /// # Returns
 /// The frames, and how many stereo pairs they have; `None` without such a group.
-pub(crate) fn join(
+fn join(
     groups: &[CameraGroup],
     stamps: &[&[i64]],
     tolerance_ns: i64,

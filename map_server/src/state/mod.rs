@@ -165,12 +165,11 @@ pub(crate) async fn note_served(
     let Some(state) = state.cloned() else { return };
     let name = map.to_owned();
     let noting = tokio::task::spawn_blocking(move || state.note_served(&name, identity, version));
-    let before = match noting.await {
-        Ok(Ok(before)) => before,
-        Ok(Err(error)) => return tracing::warn!(name = map, "what is served is not kept: {error}"),
+    let before = match noting.await.map_err(anyhow::Error::from).and_then(|noted| Ok(noted?)) {
+        Ok(Some(before)) => before,
+        Ok(None) => return,
         Err(error) => return tracing::warn!(name = map, "what is served is not kept: {error}"),
     };
-    let Some(before) = before else { return };
     if before.identity != identity {
         tracing::warn!(
             name = map,

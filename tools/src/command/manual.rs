@@ -5,7 +5,7 @@ use clap::{Command, CommandFactory as _};
 use clap_complete::{Shell, generate_to};
 use clap_mangen::Man;
 use std::path::{Path, PathBuf};
-use std::{fs, slice};
+use std::{fs, iter};
 
 /// Shells whose completions are written.
 const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Fish, Shell::Zsh];
@@ -56,12 +56,9 @@ fn programs() -> [Command; 3] {
 fn write_pages(mut program: Command, folder: &Path) -> Result<()> {
     program.build();
     let name = program.get_name().to_owned();
-    let pages: Vec<(String, Command)> = program
-        .get_subcommands()
-        .filter(|command| command.get_name() != "help")
-        .map(|command| (format!("{name}-{}", command.get_name()), command.clone()))
-        .collect();
-    for (name, command) in slice::from_ref(&(name, program)).iter().chain(&pages) {
+    let commands = program.get_subcommands().filter(|command| command.get_name() != "help");
+    let commands = commands.map(|command| (format!("{name}-{}", command.get_name()), command));
+    for (name, command) in iter::once((name.clone(), &program)).chain(commands) {
         let mut page = Vec::new();
         Man::new(command.clone()).title(name.as_str()).render(&mut page)?;
         let path = folder.join(format!("{name}.1"));

@@ -63,8 +63,8 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if let Some((_, map)) = maps.first() {
         robot.features = robot.features.or_of_map(&map.info().extractor);
+        robot.gravity_in_own_frame = gravity_in_own_frame(map);
     }
-    robot.gravity_in_own_frame = maps.first().and_then(|(_, map)| gravity_in_own_frame(map));
     let has_map = !maps.is_empty();
     let mut server = (has_map || args.open).then(|| LocalServer::start(maps)).transpose()?;
     if let Some(server) = server.as_mut().filter(|_| args.open) {

@@ -202,21 +202,30 @@ impl Segment {
 
 /// Visits the payloads of the landmarks of a segment that holds nothing else, by id.
 ///
+/// # Arguments
+/// * `after`: the last landmark of the segment before it; those of this one come after it.
+///
+/// # Returns
+/// The last landmark.
+///
 /// # Errors
 /// [`SegmentError`]; the first record that cannot be used ends it.
 pub(crate) fn visit_landmarks(
     bytes: &[u8],
+    after: Option<LandmarkId>,
     mut visit: impl FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
-) -> Result<(), SegmentError> {
+) -> Result<Option<LandmarkId>, SegmentError> {
     let mut reader = Reader::new(bytes)?;
+    let mut last = after.map(|id| [id]);
     for table in TABLES {
         if table == Table::Landmarks {
-            reader.records(table, |[id]: [u64; 1], payload| visit(id, payload))?;
+            last = reader.records(table, last, |[id]: [u64; 1], payload| visit(id, payload))?;
         } else if reader.array().map(u64::from_le_bytes)? > 0 {
             return Err(misplaced(table));
         }
     }
-    reader.end()
+    reader.end()?;
+    Ok(last.map(|[id]| id))
 }
 
 fn misplaced(table: Table) -> SegmentError {
@@ -239,7 +248,7 @@ impl<'a> Reader<'a> {
 
     fn elements<E: Element>(&mut self) -> Result<Vec<E>, SegmentError> {
         let mut elements = Vec::new();
-        self.records(E::TABLE, |key, payload| {
+        self.records(E::TABLE, None, |key, payload| {
             elements.push(E::from_record(key, record::decode(payload)?)?);
             Ok(())
         })?;
@@ -248,12 +257,18 @@ impl<'a> Reader<'a> {
     }
 
     /// Visits keys and payloads of the next list.
+    ///
+    /// # Arguments
+    /// * `previous`: the key after which they come.
+    ///
+    /// # Returns
+    /// The last key.
     fn records<K: Copy + Default + Ord + AsRef<[u64]> + AsMut<[u64]>>(
         &mut self,
         table: Table,
+        mut previous: Option<K>,
         mut visit: impl FnMut(K, &[u8]) -> Result<(), RecordError>,
-    ) -> Result<(), SegmentError> {
-        let mut previous = None;
+    ) -> Result<Option<K>, SegmentError> {
         for _ in 0..u64::from_le_bytes(self.array()?) {
             let mut key = K::default();
             let key_bytes = self.take(8 * key.as_ref().len())?;
@@ -270,7 +285,7 @@ impl<'a> Reader<'a> {
                 .map_err(|problem| SegmentError::Record { record: record(), problem })?;
             previous = Some(key);
         }
-        Ok(())
+        Ok(previous)
     }
 
     fn end(self) -> Result<(), SegmentError> {

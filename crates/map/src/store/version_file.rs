@@ -67,14 +67,8 @@ impl VersionFile {
         let start = self.manifest.frame.iter().map(|segment| segment.bytes).sum();
         let mut previous = None;
         self.visit_segments(start, &self.manifest.landmarks.clone(), verify, |bytes| {
-            segment::visit_landmarks(bytes, |id, payload| {
-                // Within a segment they ascend.
-                if previous.is_some_and(|previous| previous >= id) {
-                    return Err(RecordError::Order);
-                }
-                previous = Some(id);
-                visit(id, payload)
-            })
+            previous = segment::visit_landmarks(bytes, previous, &mut visit)?;
+            Ok(())
         })
     }
 

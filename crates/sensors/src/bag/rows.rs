@@ -3,9 +3,9 @@
 use super::image::BagImage;
 use super::index::{Stamped, StampedTopic};
 use super::messages;
-use crate::pairing::{JoinedImages, PairCounts, join};
+use crate::pairing::{JoinedImages, PairCounts, join_recorded};
 use crate::ros::imu_sample;
-use crate::{CameraSensor, Frame, ImageData, ImuSample, SequenceError, camera_groups};
+use crate::{CameraSensor, Frame, ImageData, ImuSample, SequenceError};
 use bags::Bag;
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::Imu;
@@ -74,13 +74,8 @@ pub(super) struct Cameras {
 
 impl Cameras {
     pub(super) fn new(topics: Vec<Arc<StampedTopic>>, cameras: &[CameraSensor], tolerance_ns: i64) -> Self {
-        let stamps = |(topic, camera): (&Arc<StampedTopic>, &CameraSensor)| -> Vec<i64> {
-            let shift_ns = camera.stamp_shift_ns();
-            topic.messages.iter().map(|message| message.stamp_ns.saturating_add(shift_ns)).collect()
-        };
-        let stamps: Vec<Vec<i64>> = topics.iter().zip(cameras).map(stamps).collect();
-        let stamps: Vec<&[i64]> = stamps.iter().map(Vec::as_slice).collect();
-        let (frames, pairs) = join(&camera_groups(cameras), &stamps, tolerance_ns);
+        let stamps = topics.iter().map(|topic| topic.messages.iter().map(|message| message.stamp_ns));
+        let (frames, pairs) = join_recorded(cameras, stamps, tolerance_ns);
         Self { topics, frames, pairs }
     }
 }

@@ -1,11 +1,11 @@
 //! The stamps of a folder's tables, read before the rest: which rows have wrong ones, in which order they are read, and which
 //! images make a frame.
 
-use crate::pairing::{JoinedImages, PairCounts, join};
+use crate::CameraSensor;
+use crate::pairing::{JoinedImages, PairCounts, join_recorded};
 use crate::row_order::{RowOrder, SortedLines};
 use crate::stamps::{Told, order};
 use crate::table::Table;
-use crate::{CameraSensor, camera_groups};
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -81,13 +81,8 @@ impl FrameStamps {
     pub(super) fn read(mav: &Path, cameras: &[CameraSensor], tolerance_ns: i64) -> Self {
         let read = |camera| TableStamps::read(&mav.join(format!("cam{camera}/data.csv")));
         let tables: Vec<TableStamps> = (0..cameras.len()).map(read).collect();
-        let shifted = tables.iter().zip(cameras).map(|(table, camera)| {
-            let shift_ns = camera.stamp_shift_ns();
-            table.used.iter().map(|stamp_ns| stamp_ns.saturating_add(shift_ns)).collect::<Vec<i64>>()
-        });
-        let shifted: Vec<Vec<i64>> = shifted.collect();
-        let stamps: Vec<&[i64]> = shifted.iter().map(Vec::as_slice).collect();
-        let (frames, pairs) = join(&camera_groups(cameras), &stamps, tolerance_ns);
+        let stamps = tables.iter().map(|table| table.used.iter().copied());
+        let (frames, pairs) = join_recorded(cameras, stamps, tolerance_ns);
         Self { frames, images: tables, pairs }
     }
 }

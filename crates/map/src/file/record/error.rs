@@ -4,9 +4,6 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
-    /// It does not come after the one before it.
-    #[error("it is out of order")]
-    Order,
     /// The record is shorter than its header.
     #[error("it has only {bytes} bytes")]
     TooShort {
