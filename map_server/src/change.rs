@@ -1,7 +1,7 @@
-//! Differences between two versions of a map, as robots need them; see [`map::difference`].
+//! The notice of a new version of a map; what changed is the work of [`map::difference`].
 
-use map::difference::{Motion, has_moved, is_recorrelated, with_other_common_errors};
-use protocol::{CodecError, Format, KeyframeId, MapChangeNotice, StatedChange, keys};
+use map::difference::VersionChange;
+use protocol::{CodecError, Format, MapChangeNotice, StatedChange, keys};
 use zenoh::Session;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
@@ -10,33 +10,22 @@ use crate::error::ServeError;
 use recognition::LoadedMap;
 
 /// The notice of a new version, with the size of the motion computed from the keyframes.
-pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChangeNotice {
-    let mut change = MapChangeNotice {
+///
+/// # Returns
+/// The notice, and the number of new keyframes, which robots need not know.
+pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> (MapChangeNotice, usize) {
+    let change = VersionChange::between(&old.compared(), &new.compared(), 0);
+    let notice = MapChangeNotice {
         map: name.to_owned(),
         identity: new.identity(),
         from_version: old.info().version,
         version: new.info().version,
-        changed: Vec::new(),
-        moved: Vec::new(),
-        removed: Vec::new(),
-        stated_change: stated_change(old, new),
+        changed: change.changed,
+        moved: change.moved,
+        removed: change.removed,
+        stated_change: change.stated_change,
     };
-    let recorrelated = with_changed_cross_covariances(old, new);
-    for keyframe in old.keyframes() {
-        let id = keyframe.id;
-        let Some((before, now)) = old.keyframe_reply(id).zip(new.keyframe_reply(id)) else {
-            change.removed.push(id);
-            continue;
-        };
-        let moved = moves(old, new, id) || recorrelated.binary_search(&id).is_ok();
-        if moved {
-            change.moved.push(id);
-        }
-        if moved || before.keyframe != now.keyframe || before.landmarks != now.landmarks {
-            change.changed.push(id);
-        }
-    }
-    change
+    (notice, change.added.len())
 }
 
 /// Tells robots of a new version. A notice that is too long for one message tells them only that there is one.
@@ -55,11 +44,6 @@ pub(crate) async fn publish(session: &Session, notice: MapChangeNotice) -> Resul
     Ok(())
 }
 
-/// Number of new keyframes.
-pub(crate) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
-    new.keyframes().filter(|keyframe| old.keyframe(keyframe.id).is_none()).count()
-}
-
 /// The size of a change, for a person.
 pub(crate) fn describe(change: Option<&StatedChange>) -> String {
     match change {
@@ -68,43 +52,6 @@ pub(crate) fn describe(change: Option<&StatedChange>) -> String {
         }
         None => "unknown: no keyframe is in both versions".to_owned(),
     }
-}
-
-/// Motion of the keyframes that both versions have; `None` if there are none.
-fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
-    let mut motion = Motion::default();
-    for before in old.keyframes() {
-        if let Some(now) = new.keyframe(before.id) {
-            motion.add(&before.global_from_keyframe.pose, &now.global_from_keyframe.pose);
-        }
-    }
-    motion.size()
-}
-
-/// Whether the pose of a keyframe or its covariance changed.
-fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
-    old.keyframe(id).zip(new.keyframe(id)).is_none_or(|(before, now)| has_moved(before, now))
-}
-
-/// The keyframes in both versions with a changed cross-covariance between them, sorted.
-///
-/// Where any keyframe's common error changes, what all of them have in common is another one, and so are all cross-covariances.
-fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
-    let in_both = old.keyframes().filter(|keyframe| new.keyframe(keyframe.id).is_some());
-    let mut changed = with_other_common_errors(in_both, |id| [old, new].map(|map| map.common_error(id)));
-    for (a, b) in old.listed_pairs().chain(new.listed_pairs()) {
-        if [a, b].iter().any(|id| new.keyframe(*id).is_none()) {
-            continue;
-        }
-        let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.keyframe(id)) else { continue };
-        let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
-        if is_recorrelated(&before, &now, [of_a, of_b]) {
-            changed.extend([a, b]);
-        }
-    }
-    changed.sort_unstable();
-    changed.dedup();
-    changed
 }
 
 #[cfg(test)]
@@ -154,7 +101,7 @@ mod tests {
 
     fn change(old: MapContents, new: MapContents) -> MapChangeNotice {
         let [old, new] = [old, new].map(|contents| LoadedMap::from_contents(contents).unwrap());
-        between("hall", &old, &new)
+        between("hall", &old, &new).0
     }
 
     /// Rotation (rad) and distance (m) of the three axes together.
@@ -206,7 +153,7 @@ mod tests {
         new.cross_covariances[7].block *= 0.5;
         let change = change(contents(1, 10), new);
         assert_eq!(change.moved, [4, 7, 8]);
-        assert_eq!(change.changed, [1, 2, 4, 7, 8]);
+        assert_eq!(change.changed, [2, 4, 7, 8]);
     }
 
     #[test]

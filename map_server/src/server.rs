@@ -255,14 +255,14 @@ impl MapServer {
         let previous = served.replace(Arc::clone(&map));
         self.metrics.note_map(name, map.keyframe_count(), map.info().version);
         note_served(self.state.as_ref(), name, given, version).await;
-        let mut change = change::between(name, &previous, &map);
+        let (mut change, added) = change::between(name, &previous, &map);
         change.stated_change = stated_change.or(change.stated_change).filter(|size| size.validate().is_ok());
         tracing::info!(
             name,
             from_version = change.from_version,
             version = change.version,
             keyframes = map.keyframe_count(),
-            added = change::added(&previous, &map),
+            added,
             changed = change.changed.len(),
             moved = change.moved.len(),
             removed = change.removed.len(),

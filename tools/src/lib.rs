@@ -12,6 +12,8 @@ pub mod demo;
 pub mod fleet;
 pub mod in_process;
 mod map_aliases;
+#[cfg(feature = "releases")]
+mod map_difference;
 mod old_spellings;
 mod open_page;
 pub mod playback;

@@ -11,7 +11,7 @@
 //! | [`file`](mod@file) | the bytes of a map: records, segments, manifest |
 //! | [`store`] | maps in folders: written, replaced and read |
 //! | [`edit`] | taking keyframes and landmarks out |
-//! | [`difference`] | what counts as a change between two versions |
+//! | [`difference`] | what changed between two versions |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod contents;

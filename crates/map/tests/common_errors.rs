@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use map::contents::CommonErrorProblem;
-use map::difference::has_other_common_error;
+use map::difference::{Compared, VersionChange};
 use map::{ContentsError, MapContents, edit, store};
 use proptest::prelude::*;
 use testing::{Place, PlaceOptions, add_common_errors};
@@ -94,14 +94,21 @@ fn keyframes_that_are_taken_out_take_theirs_along() {
 #[test]
 fn a_change_beyond_rounding_is_one() {
     let contents = place(4, 3);
-    let (keyframe, common) = (&contents.keyframes[2], &contents.common_errors[2]);
-    assert!(!has_other_common_error(None, None, keyframe));
-    assert!(has_other_common_error(Some(common), None, keyframe));
-    let mut now = common.clone();
-    now.factor[(3, 1)] += 1e-9 * testing::SIGMA_P;
-    assert!(!has_other_common_error(Some(common), Some(&now), keyframe));
-    now.factor[(3, 1)] += 1e-3 * testing::SIGMA_P;
-    assert!(has_other_common_error(Some(common), Some(&now), keyframe));
-    now.factor = now.factor.remove_column(2);
-    assert!(has_other_common_error(Some(common), Some(&now), keyframe));
+    let moved = |change: &dyn Fn(&mut MapContents)| {
+        let mut now = contents.clone();
+        change(&mut now);
+        VersionChange::between(&Compared::of(&contents), &Compared::of(&now), 0).moved.len()
+    };
+    let shifted = |by: f64| {
+        moved(&|now: &mut MapContents| now.common_errors[2].factor[(3, 1)] += by * testing::SIGMA_P)
+    };
+    // Where one has another common error, what all have in common is.
+    let all = contents.keyframes.len();
+    assert_eq!((moved(&|_| {}), shifted(1e-9), shifted(1e-3)), (0, 0, all));
+    assert_eq!(moved(&|now| _ = now.common_errors.remove(2)), all);
+    let narrowed = |now: &mut MapContents| {
+        let factor = &mut now.common_errors[2].factor;
+        *factor = factor.clone().remove_column(2);
+    };
+    assert_eq!(moved(&narrowed), all);
 }

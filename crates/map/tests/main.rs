@@ -5,6 +5,7 @@ mod aliases;
 mod common_errors;
 mod crossing;
 mod damage;
+mod difference;
 mod edit;
 mod formats;
 mod hostile;

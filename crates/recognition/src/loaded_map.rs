@@ -14,6 +14,7 @@ use super::evidence::AliasingRate;
 use super::index::LandmarkIndex;
 use super::loading::MapLoader;
 use map::contents::{ContentsError, MapContents, ObservationCounts};
+use map::difference::Compared;
 use map::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, MapMetadata};
 use map::store::{self, StoreError, StoredLandmarks, StoredMap};
 
@@ -196,10 +197,21 @@ impl LoadedMap {
         self.cross_covariances.blocks().len()
     }
 
-    /// The pairs of keyframes whose cross-covariance the map lists, (a, b) with `a < b`; all pairs of keyframes with a common
-    /// error are correlated besides.
-    pub fn listed_pairs(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
-        self.cross_covariances.blocks().iter().map(|cross| (cross.a, cross.b))
+    /// What is compared of this version of the map with another one.
+    pub fn compared(&self) -> Compared<'_> {
+        let mut compared = Compared::default();
+        self.keyframes.iter().for_each(|keyframe| compared.add_keyframe(keyframe));
+        self.cross_covariances.blocks().iter().for_each(|cross| compared.add_cross_covariance(cross));
+        self.common_errors.iter().for_each(|common| compared.add_common_error(common));
+        for (at, id) in self.landmarks.ids.iter().enumerate() {
+            let anchor = self.keyframes[self.landmarks.anchors[at] as usize].id;
+            let seen = self.landmarks.observers.of(at).iter().filter_map(|&keyframe| {
+                let keyframe = keyframe as usize;
+                Some((self.keyframes[keyframe].id, self.observations.of(keyframe).pixel_of(at)?))
+            });
+            compared.add_observed(*id, anchor, self.landmarks.positions_in_anchor[at], seen);
+        }
+        compared
     }
 
     /// Index of a keyframe in [`LoadedMap::keyframes`].

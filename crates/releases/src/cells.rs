@@ -8,6 +8,7 @@
 //! others, and their common errors. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
+use map::difference::Compared;
 use map::file::{Segment, SegmentWriter};
 use map::{
     CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata,
@@ -28,7 +29,15 @@ pub(crate) struct CellView<'a> {
     pub(crate) aliases: Vec<&'a KeyframeAliases>,
 }
 
-impl CellView<'_> {
+impl<'a> CellView<'a> {
+    /// Adds it to what is compared of a version.
+    pub(crate) fn add_to(&'a self, compared: &mut Compared<'a>) {
+        self.keyframes.iter().for_each(|keyframe| compared.add_keyframe(keyframe));
+        self.landmarks.iter().for_each(|landmark| compared.add_landmark(landmark));
+        self.cross_covariances.iter().for_each(|cross| compared.add_cross_covariance(cross));
+        self.common_errors.iter().for_each(|common| compared.add_common_error(common));
+    }
+
     /// The segment of it.
     pub(crate) fn encode(&self) -> Result<Vec<u8>, RecordError> {
         let mut segment = SegmentWriter::default();

@@ -1,18 +1,19 @@
-//! What changed from one release to the next, for robots that hold keyframes.
+//! What changed from one release to another: for robots that hold keyframes, and for people.
 //!
 //! A server of some cells does not know the others, and robots hold keyframes of several cells: who publishes a release says what
 //! changed in all of them.
 
-use crate::cells::CellView;
-use map::difference::{Motion, has_moved, is_recorrelated, with_other_common_errors};
+use crate::cells::BorderedCell;
+use crate::error::{ReleaseError, with_causes};
+use crate::fetch::cell_contents;
+use crate::partition::CellId;
+use crate::release::{Release, ReleasedCell};
+use crate::store::ReleaseStore;
+use map::difference::{Compared, MapDifference, VersionChange};
 use map::file::Segment;
-use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark};
-use nalgebra::Matrix6;
 use protocol::{KeyframeId, StatedChange};
 use serde::{Deserialize, Serialize};
-use std::collections::hash_map::DefaultHasher;
 use std::collections::{BTreeMap, BTreeSet};
-use std::hash::{Hash as _, Hasher as _};
 
 /// What changed since the version before.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -31,75 +32,10 @@ pub struct ReleasedChange {
 }
 
 impl ReleasedChange {
-    /// Where it is not known what changed: robots keep nothing of the version before.
-    pub(crate) fn unknown(from_version: u64) -> Self {
-        Self { from_version, ..Self::default() }
-    }
-
-    /// Of the cells that are not the same in both releases.
-    ///
-    /// # Arguments
-    /// * `unmoved`: number of keyframes in all others.
-    pub(crate) fn between(
-        from_version: u64,
-        before: &ChangedCells<'_>,
-        now: &ChangedCells<'_>,
-        unmoved: usize,
-    ) -> Self {
-        let (mut moved, mut changed) = (BTreeSet::new(), BTreeSet::new());
-        let mut removed = Vec::new();
-        let mut motion = Motion::default();
-        motion.add_unmoved(unmoved);
-        for (id, former) in &before.keyframes {
-            let Some(present) = now.keyframes.get(id) else {
-                removed.push(*id);
-                continue;
-            };
-            motion.add(&former.global_from_keyframe.pose, &present.global_from_keyframe.pose);
-            if has_moved(former, present) {
-                moved.insert(*id);
-            }
-            if former.camera != present.camera || former.stamp_ns != present.stamp_ns {
-                changed.insert(*id);
-            }
-        }
-        let in_both =
-            before.keyframes.values().copied().filter(|former| now.keyframes.contains_key(&former.id));
-        let common = |id| [before, now].map(|cells| cells.common_errors.get(&id).copied());
-        moved.extend(with_other_common_errors(in_both, common));
-        // Nobody holds one that is new.
-        let is_new = |id: &KeyframeId| now.keyframes.contains_key(id) && !before.keyframes.contains_key(id);
-        let is_gone = |id: &KeyframeId| before.keyframes.contains_key(id) && !now.keyframes.contains_key(id);
-        let blocks = [before, now].map(ChangedCells::blocks);
-        for pair in blocks[0].keys().chain(blocks[1].keys()) {
-            let ends = [pair.0, pair.1];
-            if ends.iter().any(|end| is_gone(end) || is_new(end)) {
-                continue;
-            }
-            let [former, present] = [0, 1].map(|at| blocks[at].get(pair).copied().unwrap_or_default());
-            let differs = match ends.map(|end| now.keyframes.get(&end)) {
-                [Some(a), Some(b)] => is_recorrelated(&former, &present, [a, b]),
-                // One end is in a cell that is the same in both.
-                _ => former != present,
-            };
-            if differs {
-                moved.extend(ends);
-            }
-        }
-        let observed = [before, now].map(ChangedCells::observed);
-        for id in observed[0].keys().chain(observed[1].keys()) {
-            if !is_new(id) && !is_gone(id) && observed[0].get(id) != observed[1].get(id) {
-                changed.insert(*id);
-            }
-        }
-        changed.extend(&moved);
-        Self {
-            from_version,
-            changed: changed.into_iter().collect(),
-            moved: moved.into_iter().collect(),
-            removed,
-            stated_change: motion.size(),
-        }
+    /// Since the version before.
+    pub(crate) fn since(from_version: u64, change: VersionChange) -> Self {
+        let VersionChange { changed, moved, removed, stated_change, .. } = change;
+        Self { from_version, changed, moved, removed, stated_change }
     }
 
     /// This change, and after it another.
@@ -123,52 +59,86 @@ impl ReleasedChange {
     }
 }
 
-/// What a release has in the cells that are not the same in another one.
-#[derive(Default)]
-pub(crate) struct ChangedCells<'a> {
-    keyframes: BTreeMap<KeyframeId, &'a Keyframe>,
-    landmarks: Vec<&'a Landmark>,
-    cross_covariances: Vec<&'a KeyframeCrossCovariance>,
-    common_errors: BTreeMap<KeyframeId, &'a CommonError>,
+/// How one release differs from another: keyframes, landmarks and places.
+///
+/// Only the cells that are not the same in both are fetched.
+///
+/// # Errors
+/// As [`fetch`](crate::fetch()).
+pub async fn difference(
+    store: &ReleaseStore,
+    before: &Release,
+    now: &Release,
+) -> Result<MapDifference, ReleaseError> {
+    let cells_before = cells_without(store, before, &now.cells).await?;
+    let cells_now = cells_without(store, now, &before.cells).await?;
+    let [before, now] = [&cells_before, &cells_now].map(|cells| Compared::of_segments(cells));
+    Ok(MapDifference::between(&before, &now))
 }
 
-impl<'a> ChangedCells<'a> {
-    pub(crate) fn of(cells: &'a [Segment]) -> Self {
-        let mut changed = Self::default();
-        for cell in cells {
-            changed.keyframes.extend(cell.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)));
-            changed.landmarks.extend(&cell.landmarks);
-            changed.cross_covariances.extend(&cell.cross_covariances);
-            changed.common_errors.extend(cell.common_errors.iter().map(|common| (common.keyframe, common)));
+/// What changed since a release. Where its segments cannot be read, that is logged, and nothing is known.
+///
+/// # Arguments
+/// * `cells`: those of the next release, in the order of its parts.
+pub(crate) async fn change_since(
+    store: &ReleaseStore,
+    former: &Release,
+    cells: &[ReleasedCell],
+    parts: &BTreeMap<CellId, BorderedCell<'_>>,
+) -> ReleasedChange {
+    let version = former.map.version;
+    let before = match cells_without(store, former, cells).await {
+        Ok(before) => before,
+        Err(error) => return unknown_for(version, &error),
+    };
+    let mut now = Compared::default();
+    let mut unmoved = 0;
+    for (cell, part) in cells.iter().zip(parts.values()) {
+        if is_in(&former.cells, cell) {
+            unmoved += cell.keyframes;
+        } else {
+            part.own.add_to(&mut now);
         }
-        changed
     }
+    ReleasedChange::since(version, VersionChange::between(&Compared::of_segments(&before), &now, unmoved))
+}
 
-    pub(crate) fn add(&mut self, cell: &'a CellView<'_>) {
-        self.keyframes.extend(cell.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.as_ref())));
-        self.landmarks.extend(&cell.landmarks);
-        self.cross_covariances.extend(&cell.cross_covariances);
-        self.common_errors.extend(cell.common_errors.iter().map(|common| (common.keyframe, *common)));
-    }
+/// What changes when the map of an earlier release takes the place of the newest one.
+pub(crate) async fn change_back(store: &ReleaseStore, newest: &Release, earlier: &Release) -> ReleasedChange {
+    let version = newest.map.version;
+    let cells = async {
+        let before = cells_without(store, newest, &earlier.cells).await?;
+        Ok::<_, ReleaseError>((before, cells_without(store, earlier, &newest.cells).await?))
+    };
+    let (before, now) = match cells.await {
+        Ok(cells) => cells,
+        Err(error) => return unknown_for(version, &error),
+    };
+    let unmoved = newest.cells.iter().filter(|cell| is_in(&earlier.cells, cell)).map(|cell| cell.keyframes);
+    let [before, now] = [&before, &now].map(|cells| Compared::of_segments(cells));
+    ReleasedChange::since(version, VersionChange::between(&before, &now, unmoved.sum()))
+}
 
-    /// A digest of what each keyframe observes of these landmarks, whatever their order.
-    fn observed(&self) -> BTreeMap<KeyframeId, u64> {
-        let mut digests: BTreeMap<KeyframeId, u64> = BTreeMap::new();
-        for landmark in &self.landmarks {
-            for seen in &landmark.observations {
-                let mut hasher = DefaultHasher::new();
-                (landmark.id, landmark.anchor).hash(&mut hasher);
-                landmark.position_in_anchor.iter().for_each(|value| value.to_bits().hash(&mut hasher));
-                seen.pixel.iter().for_each(|value| value.to_bits().hash(&mut hasher));
-                let digest = digests.entry(seen.keyframe).or_default();
-                *digest = digest.wrapping_add(hasher.finish());
-            }
-        }
-        digests
-    }
+/// Robots keep nothing of the version before.
+fn unknown_for(from_version: u64, error: &ReleaseError) -> ReleasedChange {
+    let reason = with_causes(error);
+    tracing::warn!(reason, "it is not known what changed: robots will begin anew with this release");
+    ReleasedChange { from_version, ..ReleasedChange::default() }
+}
 
-    fn blocks(&self) -> BTreeMap<(KeyframeId, KeyframeId), Matrix6<f64>> {
-        let ordered = self.cross_covariances.iter().map(|cross| cross.ordered());
-        ordered.map(|cross| ((cross.a, cross.b), cross.block)).collect()
+fn is_in(cells: &[ReleasedCell], cell: &ReleasedCell) -> bool {
+    cells.iter().any(|other| other.segment == cell.segment)
+}
+
+/// The cells of a release that are not among some others.
+async fn cells_without(
+    store: &ReleaseStore,
+    release: &Release,
+    others: &[ReleasedCell],
+) -> Result<Vec<Segment>, ReleaseError> {
+    let mut cells = Vec::new();
+    for cell in release.cells.iter().filter(|cell| !is_in(others, cell)) {
+        cells.push(cell_contents(store, &cell.segment, None).await?);
     }
+    Ok(cells)
 }

@@ -65,7 +65,7 @@ pub mod source;
 pub mod store;
 
 pub use cache::ReleaseCache;
-pub use change::ReleasedChange;
+pub use change::{ReleasedChange, difference};
 pub use clean::{CleanOptions, Cleaned, clean};
 pub use coarse::{CoarseCell, CoarseLandmark};
 pub use damage::Damage;

@@ -1,17 +1,16 @@
 //! Publishing a map, and going back to a former release.
 
-use crate::cells::{BorderedCell, CellView, split};
-use crate::change::{ChangedCells, ReleasedChange};
+use crate::cells::{CellView, split};
+use crate::change::{change_back, change_since};
 use crate::cleaning::ensure_kept;
 use crate::coarse::CoarseCell;
-use crate::error::{ReleaseError, with_causes};
-use crate::fetch::cell_contents;
+use crate::error::ReleaseError;
 use crate::partition::{CellId, Partition};
 use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ServedCell};
 use crate::store::ReleaseStore;
-use map::file::{Segment, SegmentName};
+use map::file::SegmentName;
 use map::{Keyframe, MapContents, MapMetadata};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Keyframes in a cell at most, by default: some 200 MB of a map of images.
@@ -119,10 +118,7 @@ pub async fn publish(
         cells.push(released_cell(*cell, &part.own, segment, serving));
     }
     let change = match &former {
-        Some(former) => {
-            let known = change_since(store, former, &cells, &parts).await;
-            Some(known.unwrap_or_else(|| unknown_change(former)))
-        }
+        Some(former) => Some(change_since(store, former, &cells, &parts).await),
         None => None,
     };
     let Sending { sent, bytes_sent, .. } = sending;
@@ -157,7 +153,7 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
     if newest.digest == former.digest {
         return Ok(Outcome::Unchanged { number: newest.number });
     }
-    let change = change_back(store, &newest, &former).await.unwrap_or_else(|| unknown_change(&newest));
+    let change = change_back(store, &newest, &former).await;
     let release = Release {
         number: newest.number + 1,
         published_unix_s: now_unix_s(),
@@ -203,66 +199,6 @@ impl Sending<'_> {
         }
         Ok(segment)
     }
-}
-
-/// What changed since a release; `None` where its segments cannot be read.
-async fn change_since(
-    store: &ReleaseStore,
-    former: &Release,
-    cells: &[ReleasedCell],
-    parts: &BTreeMap<CellId, BorderedCell<'_>>,
-) -> Option<ReleasedChange> {
-    let before = cells_without(store, former, cells).await?;
-    let mut now = ChangedCells::default();
-    let mut unmoved = 0;
-    for (cell, part) in cells.iter().zip(parts.values()) {
-        if is_in(&former.cells, cell) {
-            unmoved += cell.keyframes;
-        } else {
-            now.add(&part.own);
-        }
-    }
-    Some(ReleasedChange::between(former.map.version, &ChangedCells::of(&before), &now, unmoved))
-}
-
-/// What changes when the map of an earlier release takes the place of the newest one.
-async fn change_back(store: &ReleaseStore, newest: &Release, earlier: &Release) -> Option<ReleasedChange> {
-    let before = cells_without(store, newest, &earlier.cells).await?;
-    let now = cells_without(store, earlier, &newest.cells).await?;
-    let unmoved = newest.cells.iter().filter(|cell| is_in(&earlier.cells, cell)).map(|cell| cell.keyframes);
-    let [before, now] = [&before, &now].map(|cells| ChangedCells::of(cells));
-    Some(ReleasedChange::between(newest.map.version, &before, &now, unmoved.sum()))
-}
-
-fn is_in(cells: &[ReleasedCell], cell: &ReleasedCell) -> bool {
-    cells.iter().any(|other| other.segment == cell.segment)
-}
-
-/// The cells of a release that are not among some others.
-async fn cells_without(
-    store: &ReleaseStore,
-    release: &Release,
-    others: &[ReleasedCell],
-) -> Option<Vec<Segment>> {
-    let mut cells = Vec::new();
-    for cell in release.cells.iter().filter(|cell| !is_in(others, cell)) {
-        match cell_contents(store, &cell.segment, None).await {
-            Ok(contents) => cells.push(contents),
-            Err(error) => {
-                let reason = with_causes(&error);
-                tracing::warn!(
-                    reason,
-                    "it is not known what changed: robots will begin anew with this release"
-                );
-                return None;
-            }
-        }
-    }
-    Some(cells)
-}
-
-fn unknown_change(former: &Release) -> ReleasedChange {
-    ReleasedChange::unknown(former.map.version)
 }
 
 /// Median distance between keyframes and the landmarks that are anchored in them.

@@ -97,7 +97,7 @@ pub enum Command {
     PublishMap(publish_map::Args),
     /// List the releases of a map
     ListReleases(releases::ListArgs),
-    /// Say which cells differ between two releases
+    /// Say what is new, gone or moved between two releases, and where
     DiffReleases(releases::DiffArgs),
     /// Publish the map of a former release again
     Rollback(releases::RollbackArgs),

@@ -1,7 +1,8 @@
 //! `driftless list-releases`, `diff-releases`, `rollback`, `clean-releases`, `release-key`.
 
 use super::publish_map::{SigningArgs, megabytes, print_outcome};
-use anyhow::{Context as _, ensure};
+use crate::map_difference::print_difference;
+use anyhow::ensure;
 use releases::{CellId, CleanOptions, Release, ReleaseError, ReleaseStore, SigningKey};
 use serde_json::json;
 use std::path::PathBuf;
@@ -25,7 +26,9 @@ pub struct ListArgs {
 
 /// Arguments of `diff-releases`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless diff-releases s3://bucket/city 6 7")]
+#[command(after_help = "Example:\n  driftless diff-releases s3://bucket/city 6 7\n\n\
+    Counts keyframes and landmarks that are new, gone or moved, and how far they moved, in all and by place: cubes of 10 m,\n\
+    the one with the largest motion first. The cells that differ are fetched for it.")]
 pub struct DiffArgs {
     /// Where the releases are
     #[arg(value_name = "URL")]
@@ -169,33 +172,25 @@ fn print_cells(release: &Release) {
 /// # Errors
 /// A store or a release that cannot be read.
 pub fn diff(args: &DiffArgs) -> anyhow::Result<()> {
-    let (from, to) = in_store(&args.url, async |store| {
+    let (from, to, map) = in_store(&args.url, async |store| {
         let from = store.release(args.from).await?;
         let to = match args.to {
-            Some(number) => Some(store.release(number).await?),
-            None => store.newest().await?,
+            Some(number) => store.release(number).await?,
+            None => newest(&store).await?,
         };
-        Ok((from, to))
+        let map = releases::difference(&store, &from, &to).await?;
+        Ok((from, to, map))
     })?;
-    let to = to.context("there are no releases")?;
-    let difference = from.difference(&to);
+    let cells = from.difference(&to);
     if args.json {
-        let value = json!({"from": from.number, "to": to.number, "cells": difference});
+        let value = json!({"from": from.number, "to": to.number, "map": map, "cells": cells});
         println!("{}", serde_json::to_string_pretty(&value)?);
         return Ok(());
     }
-    println!(
-        "release {} to {}: keyframes {} to {}, {} cells unchanged, {} to fetch",
-        from.number,
-        to.number,
-        from.keyframes(),
-        to.keyframes(),
-        difference.unchanged,
-        megabytes(difference.bytes)
-    );
-    for (what, cells) in
-        [("changed", &difference.changed), ("added", &difference.added), ("removed", &difference.removed)]
-    {
+    println!("release {} to {}", from.number, to.number);
+    print_difference(&map);
+    println!("{} cells unchanged, {} to fetch", cells.unchanged, megabytes(cells.bytes));
+    for (what, cells) in [("changed", &cells.changed), ("added", &cells.added), ("removed", &cells.removed)] {
         if !cells.is_empty() {
             let numbers: Vec<String> = cells.iter().map(CellId::to_string).collect();
             println!("  {what}: {}", numbers.join(", "));
@@ -251,6 +246,12 @@ pub fn clean(args: &CleanArgs) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// The newest release of a store that has one.
+async fn newest(store: &ReleaseStore) -> Result<Release, ReleaseError> {
+    let newest = store.newest().await?;
+    newest.ok_or_else(|| ReleaseError::Empty { place: store.place().to_owned() })
 }
 
 /// Does something with the releases at a place.

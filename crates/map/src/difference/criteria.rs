@@ -1,22 +1,16 @@
-//! What counts as a change between two versions of a map.
-//!
-//! A robot's state is correlated with the old errors of the keyframes that it holds, not with the new ones: it has to know which
-//! keyframes moved, and how far the map as a whole did. The size of the motion is the root mean square over the keyframes that
-//! both versions have, per axis, of the rotation from the old to the new pose and of the change of position. A rigid motion of
-//! the whole map is thus measured at the keyframes, where robots are, and not at the origin of its frame.
+//! When an element counts as changed: by more than rounding, as of a map exported as text.
 
 use crate::model::{CommonError, Keyframe};
-use geometry::Pose;
 use nalgebra::{Matrix6, Vector6};
-use protocol::{KeyframeId, StatedChange};
+use protocol::KeyframeId;
 
 /// Smallest change of a pose (m, rad) that counts as motion; less is rounding, as of a map exported as text.
-const MIN_MOTION: f64 = 1e-6;
+pub(super) const MIN_MOTION: f64 = 1e-6;
 /// The same for a covariance, relative to its standard deviations.
 const MIN_COVARIANCE_CHANGE: f64 = 1e-6;
 
 /// Whether the pose of a keyframe or its covariance changed by more than rounding.
-pub fn has_moved(before: &Keyframe, now: &Keyframe) -> bool {
+pub(super) fn has_moved(before: &Keyframe, now: &Keyframe) -> bool {
     let (before, now) = (&before.global_from_keyframe, &now.global_from_keyframe);
     let variances = before.covariance.diagonal();
     before.pose.local(&now.pose).amax() > MIN_MOTION
@@ -28,7 +22,7 @@ pub fn has_moved(before: &Keyframe, now: &Keyframe) -> bool {
 /// # Arguments
 /// * `before`, `now`: `E[e_a e_bᵀ]`, rows of the first keyframe; zero where the two are independent.
 /// * `keyframes`: the first and the second one.
-pub fn is_recorrelated(before: &Matrix6<f64>, now: &Matrix6<f64>, keyframes: [&Keyframe; 2]) -> bool {
+pub(super) fn is_recorrelated(before: &Matrix6<f64>, now: &Matrix6<f64>, keyframes: [&Keyframe; 2]) -> bool {
     let [rows, columns] = keyframes.map(|keyframe| keyframe.global_from_keyframe.covariance.diagonal());
     differ(before, now, [&rows, &columns])
 }
@@ -37,7 +31,7 @@ pub fn is_recorrelated(before: &Matrix6<f64>, now: &Matrix6<f64>, keyframes: [&K
 ///
 /// # Arguments
 /// * `before`, `now`: `None` where the map states none.
-pub fn has_other_common_error(
+fn has_other_common_error(
     before: Option<&CommonError>,
     now: Option<&CommonError>,
     keyframe: &Keyframe,
@@ -60,7 +54,7 @@ pub fn has_other_common_error(
 /// # Arguments
 /// * `keyframes`: those of both versions.
 /// * `common`: a keyframe's part of the common error, before and now.
-pub fn with_other_common_errors<'a, 'b>(
+pub(super) fn with_other_common_errors<'a, 'b>(
     keyframes: impl Iterator<Item = &'a Keyframe>,
     common: impl Fn(KeyframeId) -> [Option<&'b CommonError>; 2],
 ) -> Vec<KeyframeId> {
@@ -87,35 +81,4 @@ fn differ(before: &Matrix6<f64>, now: &Matrix6<f64>, variances: [&Vector6<f64>; 
         change.abs() > MIN_COVARIANCE_CHANGE * scale(row, column)
     };
     (0..6).any(|row| (0..6).any(|column| entry_differs(row, column)))
-}
-
-/// The motion of a map, summed over the keyframes that both versions have.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Motion {
-    keyframes: usize,
-    squared_angle: f64,
-    squared_distance: f64,
-}
-
-impl Motion {
-    /// Adds a keyframe that both versions have.
-    pub fn add(&mut self, before: &Pose, now: &Pose) {
-        self.keyframes += 1;
-        self.squared_angle += before.rotation.angle_to(&now.rotation).powi(2);
-        self.squared_distance += (now.translation - before.translation).norm_squared();
-    }
-
-    /// Adds keyframes that did not move.
-    pub fn add_unmoved(&mut self, keyframes: usize) {
-        self.keyframes += keyframes;
-    }
-
-    /// The size of the motion; `None` if no keyframe is in both versions.
-    pub fn size(&self) -> Option<StatedChange> {
-        let per_axis = |squared: f64| (squared / (3 * self.keyframes) as f64).sqrt();
-        (self.keyframes > 0).then(|| StatedChange {
-            sigma_theta_rad: per_axis(self.squared_angle),
-            sigma_p_m: per_axis(self.squared_distance),
-        })
-    }
 }
