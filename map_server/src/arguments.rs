@@ -31,6 +31,9 @@ Examples:
   Serve the newest release of a map, and follow new ones (see `driftless publish-map`):
     map_server --map city=s3://bucket/city --cache /var/cache/driftless
 
+  Serve what is proposed beside it, to robots that try it (see `driftless publish-map --stage candidate`):
+    map_server --map city-next=s3://bucket/city@candidate --connect tcp/10.0.0.1:7447
+
   Serve it by several servers that share its cells, each cell at two of them (see the page Releases of the book):
     map_server --map city=s3://bucket/city --cells auto --connect tcp/10.0.0.1:7447
     map_server --map city=s3://bucket/city --cells auto --connect tcp/10.0.0.1:7447 --memory 8G
@@ -56,8 +59,8 @@ const QUIET: &str = "info,zenoh=warn,zenoh_link_tls=debug,zenoh::net::routing::i
 #[command(version, after_long_help = EXAMPLES, after_help = "Use --help for examples.")]
 pub struct Arguments {
     /// A map to serve: its name in keys and its database, or the folder or URL of its releases (/srv/city, s3://bucket/city; see
-    /// `driftless publish-map`). A folder that may be away when the server starts is given as file:///srv/city. May be given
-    /// several times.
+    /// `driftless publish-map`), with @7 for release 7, and @candidate for the newest candidate or, where none is open, the live
+    /// release. A folder that may be away when the server starts is given as file:///srv/city. May be given several times.
     #[arg(long = "map", value_name = "NAME=DB|FOLDER|URL", required = true)]
     pub maps: Vec<MapArgument>,
 

@@ -42,7 +42,7 @@ impl MapSource {
     pub fn open(argument: &MapArgument, cache: &Path, key: Option<&ReleaseKey>) -> anyhow::Result<MapSource> {
         let MapArgument { name, place } = argument;
         let origin = if argument.is_released() {
-            let released = ReleasedMap::open(place, &cache.join(name), key);
+            let released = ReleasedMap::open(&argument.releases(), &cache.join(name), key);
             Origin::Releases(released.with_context(|| format!("map {name} cannot be served"))?)
         } else {
             Origin::Database(PathBuf::from(place))

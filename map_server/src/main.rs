@@ -13,7 +13,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use client::session::{Member, Role};
 use client::{close_session, open_session, without_secrets};
 use databases::MapSource;
@@ -25,6 +25,7 @@ use map_server::{CellChoice, CellService, CellServiceOptions, MapServer, ServerO
 use monitoring::{Health, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
 use released::open_store;
+use releases::{ReleaseChoice, ReleasePlace};
 use status_line::StatusLine;
 use tokio::time::MissedTickBehavior;
 use tracing_subscriber::EnvFilter;
@@ -197,13 +198,19 @@ async fn serve_cells(
     cache: &Path,
 ) -> anyhow::Result<Vec<CellService>> {
     let mut services = Vec::new();
-    for MapArgument { name, place } in maps {
+    for argument in maps {
+        let (name, ReleasePlace { url, choice }) = (&argument.name, argument.releases());
+        if choice != ReleaseChoice::Newest {
+            bail!(
+                "map {name}: --cells serves the newest live release only; serve {choice} as a whole, by a server without --cells"
+            );
+        }
         let mut options = CellServiceOptions::new(cache.join(name));
         options.choice = arguments.cells.clone().unwrap_or(CellChoice::Auto);
         options.replicas = usize::from(arguments.replicas);
         options.watch = Duration::from_secs(arguments.watch_releases);
         let served = async {
-            let store = open_store(place, arguments.release_key.as_ref())?;
+            let store = open_store(&url, arguments.release_key.as_ref())?;
             CellService::start(server, name, store, options).await
         };
         services.push(served.await.with_context(|| format!("map {name} cannot be served"))?);

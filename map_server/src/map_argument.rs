@@ -5,14 +5,14 @@ use std::str::FromStr;
 
 use map::store;
 use protocol::keys::{NameError, validate_name};
-use releases::ReleaseStore;
+use releases::ReleasePlace;
 
 /// `NAME=DB`, `NAME=FOLDER` or `NAME=URL`
 #[derive(Clone, Debug)]
 pub struct MapArgument {
     /// Name of the map in its keys.
     pub name: String,
-    /// Path of its database, or folder or URL of its releases.
+    /// Path of its database, or folder or URL of its releases, with `@RELEASE` for another one than the newest.
     pub place: String,
 }
 
@@ -48,9 +48,14 @@ impl FromStr for MapArgument {
 }
 
 impl MapArgument {
+    /// Its releases, and which of them: `city=s3://bucket/city`, `city=/srv/city@candidate`.
+    pub fn releases(&self) -> ReleasePlace {
+        ReleasePlace::from(self.place.as_str())
+    }
+
     /// Whether its place is one of releases: a URL, or a folder that was published to. One that holds a map besides is a database.
     pub fn is_released(&self) -> bool {
-        let folder = Path::new(&self.place);
-        self.place.contains("://") || (ReleaseStore::is_published(folder) && !store::is_map(folder))
+        let ReleasePlace { url, .. } = self.releases();
+        self.releases().is_released() && !store::is_map(Path::new(&url))
     }
 }

@@ -3,6 +3,8 @@
 
 #[path = "../../crates/viewer/tests/common/browser.rs"]
 mod browser;
+#[cfg(unix)]
+mod candidates;
 mod cells;
 #[cfg(target_os = "linux")]
 mod load;

@@ -15,7 +15,7 @@ use testing::{Place, PlaceOptions};
 use zenoh::Session;
 
 /// The program, with a state of its own.
-fn program() -> Command {
+pub fn program() -> Command {
     static STARTED: AtomicUsize = AtomicUsize::new(0);
     let number = STARTED.fetch_add(1, Ordering::Relaxed);
     let state = format!("{}/state-{}-{number}", env!("CARGO_TARGET_TMPDIR"), std::process::id());
@@ -24,7 +24,7 @@ fn program() -> Command {
     command
 }
 
-fn run(arguments: &[&str]) -> (Output, String) {
+pub fn run(arguments: &[&str]) -> (Output, String) {
     let output = program().args(arguments).output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     (output, error)
@@ -36,7 +36,7 @@ fn stored_map(path: &Path) {
 }
 
 /// Ends the program whatever happens in the test.
-struct Running(Child);
+pub struct Running(pub Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
@@ -46,7 +46,7 @@ impl Drop for Running {
 }
 
 /// The replies to a query, asked again while nobody is there.
-async fn ask(session: &Session, selector: &str) -> Result<Vec<u8>, Vec<u8>> {
+pub async fn ask(session: &Session, selector: &str) -> Result<Vec<u8>, Vec<u8>> {
     loop {
         let replies = session.get(selector).await.unwrap();
         if let Ok(reply) = replies.recv_async().await {

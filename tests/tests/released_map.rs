@@ -10,7 +10,7 @@ use map::MapContents;
 use map::edit::{keyframes_where, remove_keyframes};
 use map_server::{CellService, CellServiceOptions, MapServer, ServerOptions};
 use onboard::{Outcome, run_robot};
-use releases::{Outcome as Publication, PublishOptions, Release, ReleaseStore, publish, roll_back};
+use releases::{Note, Outcome as Publication, PublishOptions, Release, ReleaseStore, publish, roll_back};
 use sensors::Sequence;
 use tests::fleet::router;
 use tests::network;
@@ -131,7 +131,11 @@ impl Events<'_> {
 
     fn roll_back(&self) {
         let store = ReleaseStore::open(self.place.city.to_str().unwrap()).unwrap();
-        let rolled = self.client.runtime.block_on(roll_back(&store, self.place.first.number)).unwrap();
+        let rolled = self
+            .client
+            .runtime
+            .block_on(roll_back(&store, self.place.first.number, &Note::default()))
+            .unwrap();
         let Publication::Published(published) = rolled else { panic!("nothing changed") };
         self.wait_for_version(published.release.map.version);
     }

@@ -132,3 +132,43 @@ fn an_edited_map_is_the_next_version_without_what_was_taken_out() {
     let odd = complaint_of(&["edit-map", "--map", text(&map), "--remove", "5-2"]);
     assert!(odd.contains("3,17,20-35"), "{odd}");
 }
+
+#[cfg(feature = "releases")]
+#[test]
+fn a_candidate_is_proposed_compared_promoted_and_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (from, map, city) =
+        (folder.path().join("text"), folder.path().join("place.db"), folder.path().join("city"));
+    text_map(&from, 3);
+    json_of(&["import-map", text(&from), "--map", text(&map)]);
+    let publish = ["publish-map", "--map", text(&map), "--to", text(&city)];
+    json_of(&publish);
+    json_of(&["edit-map", "--map", text(&map), "--remove", "11"]);
+    let note = ["--author", "ada", "--comment", "rack moved"];
+    let proposed = json_of(&[&publish[..], &["--stage", "candidate"], &note].concat());
+    assert_eq!(
+        (&proposed["release"]["stage"], &proposed["release"]["candidate"]),
+        (&"candidate".into(), &1.into())
+    );
+    let difference = json_of(&["diff-releases", text(&city), "live", "candidate"]);
+    assert_eq!(difference["map"]["keyframes"]["removed"], 1);
+    let shown = driftless(&["diff-releases", text(&city), "1", "candidate-1"]);
+    let shown = String::from_utf8(shown.stdout).unwrap();
+    assert!(shown.contains("release 1 to candidate 1") && shown.contains("by place"), "{shown}");
+
+    let list = || String::from_utf8(driftless(&["list-releases", text(&city)]).stdout).unwrap();
+    assert!(
+        list().contains("for release 2: open") && list().contains("published by ada: rack moved"),
+        "{}",
+        list()
+    );
+    let promoted = json_of(&["promote-release", text(&city), "--author", "bob"]);
+    assert_eq!((&promoted["release"]["number"], &promoted["release"]["stage"]), (&2.into(), &"live".into()));
+    assert!(list().contains("was candidate 1") && list().contains("promoted by bob"), "{}", list());
+    let none = complaint_of(&["reject-release", text(&city)]);
+    assert!(none.contains("has no candidate"), "{none}");
+    let late = complaint_of(&["reject-release", text(&city), "1"]);
+    assert!(late.contains("promoted before by bob"), "{late}");
+    let bell = complaint_of(&[&publish[..], &["--comment", "a\u{7}b"]].concat());
+    assert!(bell.contains("control characters"), "{bell}");
+}

@@ -37,8 +37,7 @@ impl ReleaseCache {
     /// The release that was served last; `None` where there is none that can be read.
     pub fn release(&self) -> Option<Release> {
         let text = files::read(self.folder.join(RELEASE), files::MAX_TEXT_BYTES).ok()?;
-        let number = serde_json::from_slice::<serde_json::Value>(&text).ok()?.get("number")?.as_u64()?;
-        Release::decode(&text, number).ok()
+        Release::decode_any(&text).ok()
     }
 
     /// Notes which release is served now, and removes the segments that it does not need.

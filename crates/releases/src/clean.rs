@@ -30,6 +30,8 @@ impl Default for CleanOptions {
 pub struct Cleaned {
     /// Numbers of releases.
     pub releases: Vec<u64>,
+    /// Numbers of candidates.
+    pub candidates: Vec<u64>,
     /// Names of segments.
     pub segments: Vec<String>,
     /// Bytes of the segments.
@@ -37,6 +39,9 @@ pub struct Cleaned {
 }
 
 /// Removes all releases but the newest ones, and the segments that the remaining ones do not name.
+///
+/// Candidates for the numbers of removed releases go with them, and so does one for the number of the oldest release that stays: what
+/// may still be promoted stays. The newest candidate stays in any case, so that no number comes again.
 ///
 /// What is published meanwhile keeps its segments, or is refused ([`ReleaseError::Cleaning`]).
 ///
@@ -68,10 +73,16 @@ async fn clean_marked(
     for number in kept {
         needed.extend(store.release(*number).await?.segments().map(|segment| segment.sha256.clone()));
     }
-    let mut cleaned = Cleaned { releases: former.to_vec(), ..Cleaned::default() };
+    let candidates = candidates_before(store, kept, &mut needed).await?;
+    let mut cleaned = Cleaned { releases: former.to_vec(), candidates, ..Cleaned::default() };
     // A release goes before its segments, so that no release lacks any.
-    for number in former.iter().filter(|_| mark.is_some()) {
-        store.remove_release(*number).await?;
+    if mark.is_some() {
+        for number in &cleaned.releases {
+            store.remove_release(*number).await?;
+        }
+        for number in &cleaned.candidates {
+            store.remove_candidate(*number).await?;
+        }
     }
     for (name, object) in segments {
         let put_s = u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
@@ -86,4 +97,28 @@ async fn clean_marked(
         cleaned.segments.push(name);
     }
     Ok(cleaned)
+}
+
+/// The candidates that go with former releases.
+///
+/// # Arguments
+/// * `kept`: numbers of the releases that stay.
+/// * `needed`: gets the segments of the candidates that stay.
+async fn candidates_before(
+    store: &ReleaseStore,
+    kept: &[u64],
+    needed: &mut BTreeSet<String>,
+) -> Result<Vec<u64>, ReleaseError> {
+    let oldest = kept.first().copied().unwrap_or(0);
+    let numbers = store.candidate_numbers().await?;
+    let mut going = Vec::new();
+    for number in &numbers {
+        let candidate = store.candidate(*number).await?;
+        if candidate.number <= oldest && Some(number) != numbers.last() {
+            going.push(*number);
+        } else {
+            needed.extend(candidate.segments().map(|segment| segment.sha256.clone()));
+        }
+    }
+    Ok(going)
 }

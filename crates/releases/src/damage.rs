@@ -2,6 +2,7 @@
 
 use crate::partition::{CellId, PartitionError};
 use crate::release::RELEASE_SCHEMA;
+use crate::stage::Stage;
 use protocol::MapIdentity;
 
 /// Why an object of a store is not what was published.
@@ -20,6 +21,25 @@ pub enum Damage {
     /// The file of a release has the name of another one.
     #[error("it says that it is release {0}")]
     Number(u64),
+    /// A candidate among the live releases, or the other way round: somebody moved it.
+    #[error("it says that it is {0}, and lies among the others: somebody moved it")]
+    Stage(Stage),
+    /// A text that is too long or would control a terminal.
+    #[error("its {what} is longer than {at_most} bytes, or has control characters")]
+    Note {
+        /// `author` or `comment`.
+        what: &'static str,
+        /// The limit.
+        at_most: usize,
+    },
+    /// A decision about another candidate.
+    #[error("it is about candidate {candidate} with the digest {digest}")]
+    OtherCandidate {
+        /// Its number.
+        candidate: u64,
+        /// Digest of its map.
+        digest: MapIdentity,
+    },
     /// Its partition cannot be one.
     #[error(transparent)]
     Partition(#[from] PartitionError),

@@ -3,6 +3,7 @@
 use crate::damage::Damage;
 use crate::partition::CellId;
 use crate::signing::SignatureError;
+use crate::stage::Verdict;
 use map::file::SegmentError;
 use map::{ContentsError, RecordError};
 use protocol::MapIdentity;
@@ -37,6 +38,52 @@ pub enum ReleaseError {
     Conflict {
         /// The number that was free before.
         number: u64,
+    },
+    /// Another program put a candidate meanwhile.
+    #[error(
+        "another program published candidate {candidate} at the same time: publish again to come after it"
+    )]
+    CandidateConflict {
+        /// The number that was free before.
+        candidate: u64,
+    },
+    /// There is no candidate of that number, or none at all.
+    #[error("{place} has no {}; driftless list-releases {place} lists them", candidate.map_or_else(|| "candidate".to_owned(), |number| format!("candidate {number}")))]
+    NoCandidate {
+        /// The store.
+        place: String,
+        /// The number; `None` for any.
+        candidate: Option<u64>,
+    },
+    /// The candidate was compared with another release than the newest one.
+    #[error(
+        "candidate {candidate} was made for release {number}, and release {newest} is the newest one: publish the map as a candidate again, and review that"
+    )]
+    Overtaken {
+        /// The candidate.
+        candidate: u64,
+        /// The number that it would have had.
+        number: u64,
+        /// The newest release, 0 for none.
+        newest: u64,
+    },
+    /// The candidate was decided about before.
+    #[error("candidate {candidate} was {verdict} before{}", by.as_ref().map_or_else(String::new, |by| format!(" by {by}")))]
+    Decided {
+        /// The candidate.
+        candidate: u64,
+        /// What was decided.
+        verdict: Verdict,
+        /// By whom, where that is known.
+        by: Option<String>,
+    },
+    /// A note that cannot be stored.
+    #[error("the {what} may have {at_most} bytes, and no control characters like line breaks")]
+    Note {
+        /// `author` or `comment`.
+        what: &'static str,
+        /// The limit.
+        at_most: usize,
     },
     /// Segments are removed, or were removed just now.
     #[error(
@@ -74,21 +121,21 @@ pub enum ReleaseError {
     },
     /// The release is not signed with the key that it must be signed with.
     #[error(
-        "release {number} of {place} is not signed with the key that was given: {reason}; do not use it unless you know who published it"
+        "{object} of {place} is not signed with the key that was given: {reason}; do not use it unless you know who published it"
     )]
     NotSigned {
         /// The store.
         place: String,
-        /// The release.
-        number: u64,
+        /// The file of the release, candidate or decision.
+        object: String,
         /// What is wrong with its signature.
         reason: SignatureError,
     },
     /// A release cannot be signed; it is not published.
-    #[error("release {number} cannot be signed: {reason}")]
+    #[error("{object} cannot be signed: {reason}")]
     Sign {
-        /// The release.
-        number: u64,
+        /// The file of the release, candidate or decision.
+        object: String,
         /// The error of minisign.
         reason: Box<dyn std::error::Error + Send + Sync>,
     },

@@ -2,7 +2,9 @@
 //!
 //! ```text
 //! releases/00000000000000000007.json    what release 7 is: the map's identity and version, and the segments of its cells
-//! signatures/{SHA-256}                  of the file of a release, where it is signed
+//! candidates/00000000000000000003.json  what is proposed to be release 8
+//! decisions/00000000000000000003.json   whether candidate 3 was promoted or rejected
+//! signatures/{SHA-256}                  of the file of a release, a candidate or a decision, where it is signed
 //! segments/{SHA-256}                    the keyframes, landmarks and cross-covariances of a cell, of its border, its coarse landmarks
 //! ```
 //! A segment has the bytes that [`map::file`] describes: a release is a map cut into cells.
@@ -18,6 +20,9 @@
 //! | [`coarse`] | what tells from afar of which cells an image could be |
 //! | [`change`] | what changed from one release to the next |
 //! | [`release`] | what a release is |
+//! | [`stage`] | what is live and what is proposed; who did it and why |
+//! | [`candidates`] | promoting and rejecting what is proposed |
+//! | [`place`] | which release of which store, in one word |
 //! | [`signing`] | who may publish |
 //! | [`store`] | the object store |
 //! | [`publish`](mod@publish) | publishing a map, going back to a former release |
@@ -49,6 +54,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod cache;
+pub mod candidates;
 mod cells;
 pub mod change;
 pub mod clean;
@@ -58,13 +64,16 @@ mod damage;
 mod error;
 pub mod fetch;
 pub mod partition;
+pub mod place;
 pub mod publish;
 pub mod release;
 pub mod signing;
 pub mod source;
+pub mod stage;
 pub mod store;
 
 pub use cache::ReleaseCache;
+pub use candidates::{candidate_state, promote, reject};
 pub use change::{ReleasedChange, difference};
 pub use clean::{CleanOptions, Cleaned, clean};
 pub use coarse::{CoarseCell, CoarseLandmark};
@@ -73,10 +82,12 @@ pub use error::ReleaseError;
 pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse};
 pub use map::file::{SegmentError, SegmentName};
 pub use partition::{CellId, Partition, PartitionError};
+pub use place::{ReleaseChoice, ReleaseChoiceError, ReleasePlace};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
 pub use release::{Release, ReleaseDifference, ReleasedCell, ServedCell};
 #[cfg(feature = "signing")]
 pub use signing::SigningKey;
 pub use signing::{ReleaseKey, ReleaseKeyError, SignatureError};
 pub use source::ReleaseSource;
+pub use stage::{CandidateState, Decision, Note, Stage, Verdict};
 pub use store::ReleaseStore;

@@ -1,5 +1,6 @@
 //! Publishing a map, and going back to a former release.
 
+use crate::candidates::next_version;
 use crate::cells::{CellView, split};
 use crate::change::{change_back, change_since};
 use crate::cleaning::ensure_kept;
@@ -7,6 +8,7 @@ use crate::coarse::CoarseCell;
 use crate::error::ReleaseError;
 use crate::partition::{CellId, Partition};
 use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ServedCell};
+use crate::stage::{Note, Stage};
 use crate::store::ReleaseStore;
 use map::file::SegmentName;
 use map::{Keyframe, MapContents, MapMetadata};
@@ -22,11 +24,15 @@ const KEYFRAMES_A_CELL: usize = 5000;
 pub struct PublishOptions {
     /// Cells with more keyframes than these are cut.
     pub keyframes_a_cell: usize,
+    /// Live, or proposed to be.
+    pub stage: Stage,
+    /// Who publishes, and why.
+    pub note: Note,
 }
 
 impl Default for PublishOptions {
     fn default() -> Self {
-        Self { keyframes_a_cell: KEYFRAMES_A_CELL }
+        Self { keyframes_a_cell: KEYFRAMES_A_CELL, stage: Stage::Live, note: Note::default() }
     }
 }
 
@@ -62,13 +68,13 @@ pub struct Published {
     pub bytes_sent: u64,
 }
 
-/// Publishes a map as the next release.
+/// Publishes a map as the next release, or as a candidate for it.
 ///
 /// The identity of the first release is that of the map, and stays. Versions grow from release to release.
 ///
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
-/// [`ReleaseError::Conflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments, [`ReleaseError::Store`].
+/// [`ReleaseError::Conflict`] and [`ReleaseError::CandidateConflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments, [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
     mut contents: MapContents,
@@ -123,10 +129,17 @@ pub async fn publish(
     };
     let Sending { sent, bytes_sent, .. } = sending;
     progress(Progress { cells: of, of });
-    let former_version = former.as_ref().map_or(0, |former| former.map.version);
-    let version = contents.info.version.max(former_version + 1);
+    let version = contents.info.version.max(next_version(store, former.as_ref()).await?);
+    let candidate = match options.stage {
+        Stage::Live => None,
+        Stage::Candidate => Some(store.candidate_numbers().await?.last().map_or(1, |last| last + 1)),
+    };
     let release = Release {
         schema: RELEASE_SCHEMA,
+        stage: options.stage,
+        candidate,
+        note: options.note.clone(),
+        promotion: None,
         number: former.as_ref().map_or(0, |former| former.number) + 1,
         published_unix_s: now_unix_s(),
         rolled_back_to: None,
@@ -137,7 +150,10 @@ pub async fn publish(
         cells,
     };
     ensure_kept(store, &release).await?;
-    store.put_release(&release).await?;
+    match candidate {
+        Some(number) => store.put_candidate(&release, number).await?,
+        None => store.put_release(&release).await?,
+    }
     Ok(Outcome::Published(Box::new(Published { release, sent, bytes_sent })))
 }
 
@@ -147,30 +163,38 @@ pub async fn publish(
 ///
 /// # Errors
 /// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
-pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, ReleaseError> {
+pub async fn roll_back(store: &ReleaseStore, number: u64, note: &Note) -> Result<Outcome, ReleaseError> {
     let former = store.release(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
     if newest.digest == former.digest {
         return Ok(Outcome::Unchanged { number: newest.number });
     }
     let change = change_back(store, &newest, &former).await;
+    let version = next_version(store, Some(&newest)).await?;
     let release = Release {
         number: newest.number + 1,
+        candidate: None,
         published_unix_s: now_unix_s(),
+        note: note.clone(),
+        promotion: None,
         rolled_back_to: Some(number),
         change: Some(change),
-        map: MapMetadata { version: newest.map.version + 1, ..former.map.clone() },
+        map: MapMetadata { version, ..former.map.clone() },
         ..former
     };
-    renew(store, &newest, &release).await?;
+    renew(store, Some(&newest), &release).await?;
     ensure_kept(store, &release).await?;
     store.put_release(&release).await?;
     Ok(Outcome::Published(Box::new(Published { release, sent: 0, bytes_sent: 0 })))
 }
 
 /// Puts the segments of a release again that the newest one does not name.
-async fn renew(store: &ReleaseStore, newest: &Release, release: &Release) -> Result<(), ReleaseError> {
-    let kept: BTreeSet<&SegmentName> = newest.segments().collect();
+pub(crate) async fn renew(
+    store: &ReleaseStore,
+    newest: Option<&Release>,
+    release: &Release,
+) -> Result<(), ReleaseError> {
+    let kept: BTreeSet<&SegmentName> = newest.into_iter().flat_map(Release::segments).collect();
     let renewed: BTreeSet<&SegmentName> =
         release.segments().filter(|segment| !kept.contains(segment)).collect();
     for segment in renewed {

@@ -3,6 +3,7 @@
 use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::partition::{CellId, Partition};
+use crate::stage::{Note, Stage};
 use map::MapMetadata;
 use map::file::SegmentName;
 use protocol::MapIdentity;
@@ -10,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Layout of releases. One with another number is refused.
-pub const RELEASE_SCHEMA: u16 = 6;
+pub const RELEASE_SCHEMA: u16 = 7;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,10 +19,18 @@ pub const RELEASE_SCHEMA: u16 = 6;
 pub struct Release {
     /// Layout of this file, see [`RELEASE_SCHEMA`].
     pub schema: u16,
-    /// Counts the releases, from 1.
+    /// Where it stands. A file that lies elsewhere is refused.
+    pub stage: Stage,
+    /// Counts the live releases, from 1. Of a candidate, the number that it would have.
     pub number: u64,
-    /// When it was published, seconds since 1970.
+    /// Number among the candidates, from 1: of a candidate, and of a live release that was one.
+    pub candidate: Option<u64>,
+    /// When it was published, seconds since 1970; of one that was promoted, when it was.
     pub published_unix_s: u64,
+    /// Who published it, and why.
+    pub note: Note,
+    /// Of a release that was a candidate: who promoted it, and why.
+    pub promotion: Option<Note>,
     /// The release whose map this one has again; `None` for a map of its own.
     pub rolled_back_to: Option<u64>,
     /// What changed since the release before; `None` for the first one.
@@ -145,8 +154,36 @@ impl Release {
         difference
     }
 
-    /// Reads the file of a release.
+    /// Its name for a person: `release 7`, `candidate 3`.
+    pub fn title(&self) -> String {
+        match (self.stage, self.candidate) {
+            (Stage::Candidate, Some(candidate)) => format!("candidate {candidate}"),
+            _ => format!("release {}", self.number),
+        }
+    }
+
+    /// Reads the file of a live release.
     pub(crate) fn decode(text: &[u8], number: u64) -> Result<Self, Damage> {
+        let release = Self::decode_any(text)?;
+        match release.stage {
+            Stage::Live if release.number == number => Ok(release),
+            Stage::Live => Err(Damage::Number(release.number)),
+            Stage::Candidate => Err(Damage::Stage(release.stage)),
+        }
+    }
+
+    /// Reads the file of a candidate.
+    pub(crate) fn decode_candidate(text: &[u8], number: u64) -> Result<Self, Damage> {
+        let release = Self::decode_any(text)?;
+        match (release.stage, release.candidate) {
+            (Stage::Candidate, Some(candidate)) if candidate == number => Ok(release),
+            (Stage::Candidate, candidate) => Err(Damage::Number(candidate.unwrap_or(0))),
+            (Stage::Live, _) => Err(Damage::Stage(release.stage)),
+        }
+    }
+
+    /// Reads the file of a release, wherever it lies.
+    pub(crate) fn decode_any(text: &[u8]) -> Result<Self, Damage> {
         let value: serde_json::Value = serde_json::from_slice(text)?;
         // Another layout may have other fields.
         let found = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
@@ -154,8 +191,8 @@ impl Release {
             return Err(Damage::Schema { found });
         }
         let release: Self = serde_json::from_value(value)?;
-        if release.number != number {
-            return Err(Damage::Number(release.number));
+        for note in [Some(&release.note), release.promotion.as_ref()].into_iter().flatten() {
+            note.check().map_err(|(what, at_most)| Damage::Note { what, at_most })?;
         }
         release.partition.check()?;
         let mut known = release.partition.cells();

@@ -1,7 +1,8 @@
 //! Signatures of releases, in the format of [minisign](https://jedisct1.github.io/minisign/).
 //!
-//! What is signed are the bytes of a release's file, which names the SHA-256 of every segment and its own number: who can write to
-//! the store but has no key can take releases away, and cannot make or change one.
+//! What is signed are the bytes of a release's file, which names the SHA-256 of every segment, its own number and its stage: who can
+//! write to the store but has no key can take releases away, and cannot make or change one, nor make a candidate live. A decision
+//! about a candidate is signed too, and names the digest of its map.
 
 #[cfg(feature = "signing")]
 use crate::error::ReleaseError;
@@ -117,10 +118,10 @@ impl SigningKey {
         Ok(public_file)
     }
 
-    /// The signature of the file of a release.
-    pub(crate) fn sign(&self, bytes: &[u8], number: u64) -> Result<Vec<u8>, ReleaseError> {
+    /// The signature of the file of a release, a candidate or a decision.
+    pub(crate) fn sign(&self, bytes: &[u8], object: &str) -> Result<Vec<u8>, ReleaseError> {
         let signature = minisign::sign(None, &self.0, bytes, None, None);
-        let failed = |error| ReleaseError::Sign { number, reason: Box::new(error) };
+        let failed = |error| ReleaseError::Sign { object: object.to_owned(), reason: Box::new(error) };
         signature.map(|signature| signature.to_bytes()).map_err(failed)
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::cache::ReleaseCache;
 use crate::error::{ReleaseError, with_causes};
+use crate::place::ReleaseChoice;
 use crate::release::Release;
 use crate::store::ReleaseStore;
 use std::path::Path;
@@ -13,23 +14,39 @@ pub struct ReleaseSource {
     pub store: ReleaseStore,
     /// What is served when the store is away.
     pub cache: ReleaseCache,
+    /// Which release is followed.
+    pub choice: ReleaseChoice,
 }
 
 impl ReleaseSource {
-    /// Opens the cache of a store.
+    /// Opens the cache of a store whose newest live release is followed.
     ///
     /// # Errors
     /// [`ReleaseError::Cache`].
     pub fn open(store: ReleaseStore, cache: &Path) -> Result<Self, ReleaseError> {
-        Ok(Self { store, cache: ReleaseCache::open(cache)? })
+        Ok(Self { store, cache: ReleaseCache::open(cache)?, choice: ReleaseChoice::Newest })
     }
 
-    /// The newest release, or where none can be read the one that was served last.
+    /// The same store, of which another choice is followed.
+    #[must_use]
+    pub fn following(self, choice: ReleaseChoice) -> Self {
+        Self { choice, ..self }
+    }
+
+    /// The release that is to be served now; `None` where there is none yet.
+    ///
+    /// # Errors
+    /// As [`ReleaseChoice::followed`].
+    pub async fn newest(&self) -> Result<Option<Release>, ReleaseError> {
+        self.choice.followed(&self.store).await
+    }
+
+    /// The release that is to be served, or where none can be read the one that was served last.
     ///
     /// # Errors
     /// [`ReleaseError::Empty`], and as [`ReleaseStore::release`]: nothing is cached either.
     pub async fn newest_or_cached(&self) -> Result<Release, ReleaseError> {
-        let error = match self.store.newest().await {
+        let error = match self.newest().await {
             Ok(Some(release)) => return Ok(release),
             Ok(None) => ReleaseError::Empty { place: self.store.place().to_owned() },
             Err(error) => error,

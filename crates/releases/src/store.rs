@@ -7,6 +7,7 @@ use crate::release::Release;
 #[cfg(feature = "signing")]
 use crate::signing::SigningKey;
 use crate::signing::{ReleaseKey, SignatureError};
+use crate::stage::Decision;
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use map::file::SegmentName;
@@ -14,6 +15,7 @@ use map::file::segment::sha256;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
+use serde::Serialize;
 use std::sync::Arc;
 use url::Url;
 
@@ -22,6 +24,8 @@ const MAX_RELEASE_BYTES: u64 = 64 << 20;
 /// Digits of a number in a name, so that names sort as numbers do.
 const DIGITS: usize = 20;
 const RELEASES: &str = "releases";
+const CANDIDATES: &str = "candidates";
+const DECISIONS: &str = "decisions";
 const SEGMENTS: &str = "segments";
 const SIGNATURES: &str = "signatures";
 const MARKS: &str = "cleaning";
@@ -89,8 +93,10 @@ impl ReleaseStore {
 
     /// Whether a folder on this machine holds releases, so that [`ReleaseStore::open`] takes it for a store that was published to.
     pub fn is_published(folder: &std::path::Path) -> bool {
-        let Ok(files) = std::fs::read_dir(folder.join(RELEASES)) else { return false };
-        files.flatten().any(|file| file.file_name().to_str().and_then(number_of).is_some())
+        [RELEASES, CANDIDATES].iter().any(|stage| {
+            let Ok(files) = std::fs::read_dir(folder.join(stage)) else { return false };
+            files.flatten().any(|file| file.file_name().to_str().and_then(number_of).is_some())
+        })
     }
 
     /// A store that the caller has opened, with the releases at its root.
@@ -131,7 +137,11 @@ impl ReleaseStore {
     /// # Errors
     /// [`ReleaseError::Store`].
     pub async fn numbers(&self) -> Result<Vec<u64>, ReleaseError> {
-        let objects = self.list(RELEASES).await?;
+        self.numbers_in(RELEASES).await
+    }
+
+    async fn numbers_in(&self, folder: &str) -> Result<Vec<u64>, ReleaseError> {
+        let objects = self.list(folder).await?;
         let number = |object: ObjectMeta| number_of(object.location.filename()?);
         let mut numbers: Vec<u64> = objects.into_iter().filter_map(number).collect();
         numbers.sort_unstable();
@@ -144,26 +154,48 @@ impl ReleaseStore {
     /// [`ReleaseError::NoRelease`], [`ReleaseError::Store`], [`ReleaseError::Damaged`].
     pub async fn release(&self, number: u64) -> Result<Release, ReleaseError> {
         let object = release_name(number);
-        let text = self.read(&object, MAX_RELEASE_BYTES).await.map_err(|error| match error {
-            ReleaseError::Store { reason, .. } if matches!(*reason, object_store::Error::NotFound { .. }) => {
-                ReleaseError::NoRelease { place: self.place.clone(), number }
-            }
-            error => error,
-        })?;
-        if let Some(key) = &self.key {
-            let not_signed = |reason| ReleaseError::NotSigned { place: self.place.clone(), number, reason };
-            let signature = match self.read(&signature_name(&text), MAX_SIGNATURE_BYTES).await {
-                Ok(signature) => signature,
-                Err(ReleaseError::Store { reason, .. })
-                    if matches!(*reason, object_store::Error::NotFound { .. }) =>
-                {
-                    return Err(not_signed(SignatureError::Missing));
-                }
-                Err(error) => return Err(error),
-            };
-            key.verify(&text, &signature).map_err(not_signed)?;
-        }
+        let missing = || ReleaseError::NoRelease { place: self.place.clone(), number };
+        let text = self.read_signed(&object).await?.ok_or_else(missing)?;
         Release::decode(&text, number).map_err(|reason| self.damaged(object, reason))
+    }
+
+    /// The numbers of all candidates, ascending.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Store`].
+    pub async fn candidate_numbers(&self) -> Result<Vec<u64>, ReleaseError> {
+        self.numbers_in(CANDIDATES).await
+    }
+
+    /// A candidate.
+    ///
+    /// # Errors
+    /// [`ReleaseError::NoCandidate`], [`ReleaseError::Store`], [`ReleaseError::Damaged`].
+    pub async fn candidate(&self, number: u64) -> Result<Release, ReleaseError> {
+        let object = name_in(CANDIDATES, number);
+        let missing = || ReleaseError::NoCandidate { place: self.place.clone(), candidate: Some(number) };
+        let text = self.read_signed(&object).await?.ok_or_else(missing)?;
+        Release::decode_candidate(&text, number).map_err(|reason| self.damaged(object, reason))
+    }
+
+    /// What was decided about a candidate; `None` where nothing was.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Store`], [`ReleaseError::Damaged`].
+    pub async fn decision(&self, proposed: &Release) -> Result<Option<Decision>, ReleaseError> {
+        let Some(candidate) = proposed.candidate else { return Ok(None) };
+        let object = name_in(DECISIONS, candidate);
+        let Some(text) = self.read_signed(&object).await? else { return Ok(None) };
+        let decision: Decision =
+            serde_json::from_slice(&text).map_err(|error| self.damaged(object.clone(), error.into()))?;
+        let Decision { candidate: of, digest, .. } = decision;
+        if (of, digest) != (candidate, proposed.digest) {
+            return Err(self.damaged(object, Damage::OtherCandidate { candidate: of, digest }));
+        }
+        match decision.note.check() {
+            Ok(()) => Ok(Some(decision)),
+            Err((what, at_most)) => Err(self.damaged(object, Damage::Note { what, at_most })),
+        }
     }
 
     /// The newest release; `None` where nothing was published.
@@ -223,24 +255,67 @@ impl ReleaseStore {
 
     /// Puts a release under its number, if that is free.
     pub(crate) async fn put_release(&self, release: &Release) -> Result<(), ReleaseError> {
-        let object = release_name(release.number);
+        let number = release.number;
+        let was_free = self.put_signed(release_name(number), release).await?;
+        if was_free { Ok(()) } else { Err(ReleaseError::Conflict { number }) }
+    }
+
+    /// Puts a candidate under its number, if that is free.
+    pub(crate) async fn put_candidate(&self, release: &Release, number: u64) -> Result<(), ReleaseError> {
+        let was_free = self.put_signed(name_in(CANDIDATES, number), release).await?;
+        if was_free { Ok(()) } else { Err(ReleaseError::CandidateConflict { candidate: number }) }
+    }
+
+    /// Puts a decision, if there is none about its candidate; returns whether there was none.
+    pub(crate) async fn put_decision(&self, decision: &Decision) -> Result<bool, ReleaseError> {
+        self.put_signed(name_in(DECISIONS, decision.candidate), decision).await
+    }
+
+    /// Puts a file with its signature, if its name is free; returns whether it was.
+    async fn put_signed(&self, object: String, of: &impl Serialize) -> Result<bool, ReleaseError> {
         let mut text =
-            serde_json::to_vec_pretty(release).map_err(|error| self.damaged(object.clone(), error.into()))?;
+            serde_json::to_vec_pretty(of).map_err(|error| self.damaged(object.clone(), error.into()))?;
         text.push(b'\n');
         #[cfg(feature = "signing")]
         if let Some(key) = &self.signing {
-            // Before its release, so that none is ever without.
-            let signature = key.sign(&text, release.number)?;
+            // Before its file, so that none is ever without.
+            let signature = key.sign(&text, &object)?;
             let name = signature_name(&text);
             let put = self.put(&name, signature, PutMode::Overwrite).await;
             put.map_err(|source| self.failed(name, "written", source))?;
         }
         match self.put(&object, text, PutMode::Create).await {
-            Ok(()) => Ok(()),
-            Err(object_store::Error::AlreadyExists { .. }) => {
-                Err(ReleaseError::Conflict { number: release.number })
-            }
+            Ok(()) => Ok(true),
+            Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
             Err(source) => Err(self.failed(object, "written", source)),
+        }
+    }
+
+    /// Reads a file whose signature is verified where there is a key; `None` where there is no such file.
+    async fn read_signed(&self, object: &str) -> Result<Option<Bytes>, ReleaseError> {
+        let Some(text) = self.read_if_there(object, MAX_RELEASE_BYTES).await? else { return Ok(None) };
+        if let Some(key) = &self.key {
+            let not_signed = |reason| ReleaseError::NotSigned {
+                place: self.place.clone(),
+                object: object.to_owned(),
+                reason,
+            };
+            let signature = self.read_if_there(&signature_name(&text), MAX_SIGNATURE_BYTES).await?;
+            let signature = signature.ok_or_else(|| not_signed(SignatureError::Missing))?;
+            key.verify(&text, &signature).map_err(not_signed)?;
+        }
+        Ok(Some(text))
+    }
+
+    async fn read_if_there(&self, object: &str, at_most: u64) -> Result<Option<Bytes>, ReleaseError> {
+        match self.read(object, at_most).await {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(ReleaseError::Store { reason, .. })
+                if matches!(*reason, object_store::Error::NotFound { .. }) =>
+            {
+                Ok(None)
+            }
+            Err(error) => Err(error),
         }
     }
 
@@ -269,7 +344,16 @@ impl ReleaseStore {
     }
 
     pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {
-        let object = release_name(number);
+        self.remove_signed(release_name(number)).await
+    }
+
+    /// Removes a candidate, then what was decided about it.
+    pub(crate) async fn remove_candidate(&self, number: u64) -> Result<(), ReleaseError> {
+        self.remove_signed(name_in(CANDIDATES, number)).await?;
+        self.remove_signed(name_in(DECISIONS, number)).await
+    }
+
+    async fn remove_signed(&self, object: String) -> Result<(), ReleaseError> {
         if let Ok(text) = self.read(&object, MAX_RELEASE_BYTES).await {
             self.remove(signature_name(&text)).await?;
         }
@@ -323,10 +407,14 @@ impl ReleaseStore {
 }
 
 fn release_name(number: u64) -> String {
-    format!("{RELEASES}/{number:0DIGITS$}{EXTENSION}")
+    name_in(RELEASES, number)
 }
 
-/// The number of the release whose file has a name.
+fn name_in(folder: &str, number: u64) -> String {
+    format!("{folder}/{number:0DIGITS$}{EXTENSION}")
+}
+
+/// The number of the release or candidate whose file has a name.
 fn number_of(filename: &str) -> Option<u64> {
     filename.strip_suffix(EXTENSION)?.parse().ok().filter(|number| *number > 0)
 }

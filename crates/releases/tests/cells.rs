@@ -4,8 +4,8 @@ use map::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, MapCo
 use nalgebra::Matrix6;
 use protocol::KeyframeId;
 use releases::{
-    Cell, Outcome, PublishOptions, Release, ReleaseError, ReleaseStore, fetch, fetch_cell, fetch_coarse,
-    publish, roll_back,
+    Cell, Note, Outcome, PublishOptions, Release, ReleaseError, ReleaseStore, fetch, fetch_cell,
+    fetch_coarse, publish, roll_back,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use tempfile::TempDir;
@@ -163,7 +163,9 @@ async fn a_release_says_what_changed_and_so_do_several() {
     assert_eq!(store.change_since(0, &newest).await.unwrap(), None);
 
     // Back again: the same keyframes move, and the one that was removed is new.
-    let Outcome::Published(back) = roll_back(&store, 1).await.unwrap() else { panic!("nothing changed") };
+    let Outcome::Published(back) = roll_back(&store, 1, &Note::default()).await.unwrap() else {
+        panic!("nothing changed")
+    };
     let change = back.release.change.unwrap();
     assert_eq!((change.from_version, &change.moved, change.removed.len()), (3, &moved, 0));
     let size = change.stated_change.unwrap().sigma_p_m;
@@ -183,5 +185,5 @@ async fn a_release_of_another_schema_is_refused_with_both_numbers() {
     value["unknown"] = 1.into();
     std::fs::write(&path, value.to_string()).unwrap();
     let error = store.newest().await.unwrap_err().to_string();
-    assert!(error.contains("schema 3") && error.contains("reads 6"), "{error}");
+    assert!(error.contains("schema 3") && error.contains("reads 7"), "{error}");
 }

@@ -9,7 +9,7 @@ use object_store::memory::InMemory;
 use object_store::throttle::{ThrottleConfig, ThrottledStore};
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
-use releases::{CleanOptions, PublishOptions, ReleaseStore, clean, fetch, publish, roll_back};
+use releases::{CleanOptions, Note, PublishOptions, ReleaseStore, clean, fetch, publish, roll_back};
 use testing::{Place, PlaceOptions};
 
 const STORES: u64 = 100;
@@ -83,7 +83,8 @@ async fn successes<F: Future<Output = bool> + Send + 'static>(change: impl Fn(u6
 /// The segments of the former release are old when they are needed again.
 async fn roll_back_beside_clean(seed: u64) -> bool {
     let (store, _) = released(seed, 1).await;
-    let (rolled_back, ()) = tokio::join!(roll_back(&store, 1), clean_late(&store, pause_ms(seed)));
+    let note = Note::default();
+    let (rolled_back, ()) = tokio::join!(roll_back(&store, 1, &note), clean_late(&store, pause_ms(seed)));
     let newest = store.newest().await.unwrap().unwrap();
     let fetched = fetch(&store, &newest, None).await;
     assert!(fetched.is_ok(), "{seed}: the newest release lacks something: {:?}", fetched.err());

@@ -9,8 +9,8 @@ use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
 const UPDATE: &str = "UPDATE";
 
 #[tokio::test]
-async fn a_release_of_schema_6_is_read() {
-    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/release_6");
+async fn a_release_of_schema_7_is_read() {
+    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/release_7");
     let store = ReleaseStore::open(kept.to_str().unwrap()).unwrap();
     if std::env::var_os(UPDATE).is_some() {
         let _ = std::fs::remove_dir_all(&kept);
@@ -23,7 +23,7 @@ async fn a_release_of_schema_6_is_read() {
         publish(&store, map, &options, |_| {}).await.unwrap();
     }
     let release = store.newest().await.unwrap().unwrap();
-    assert_eq!((release.schema, release.number, release.cells.len(), release.keyframes()), (6, 1, 2, 4));
+    assert_eq!((release.schema, release.number, release.cells.len(), release.keyframes()), (7, 1, 2, 4));
     let map = fetch(&store, &release, None).await.unwrap();
     map.validate().unwrap();
     assert_eq!((map.keyframes.len(), map.common_errors.len(), map.aliases.len()), (4, 4, 4));

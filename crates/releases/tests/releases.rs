@@ -3,8 +3,8 @@
 use map::MapContents;
 use map::edit::{keyframes_where, remove_keyframes};
 use releases::{
-    CleanOptions, Outcome, PublishOptions, Published, Release, ReleaseCache, ReleaseError, ReleaseStore,
-    ReleasedCell, SegmentName, clean, fetch, publish, roll_back,
+    CleanOptions, Note, Outcome, PublishOptions, Published, Release, ReleaseCache, ReleaseError,
+    ReleaseStore, ReleasedCell, SegmentName, clean, fetch, publish, roll_back,
 };
 #[cfg(feature = "signing")]
 use releases::{ReleaseKey, SigningKey};
@@ -111,7 +111,7 @@ async fn a_rollback_is_a_new_release_with_a_new_version() {
     let contents = place(3);
     published(&scratch.store, &contents).await;
     published(&scratch.store, &without_the_last(&contents)).await;
-    let Outcome::Published(back) = roll_back(&scratch.store, 1).await.unwrap() else {
+    let Outcome::Published(back) = roll_back(&scratch.store, 1, &Note::default()).await.unwrap() else {
         panic!("nothing changed")
     };
     assert_eq!((back.release.number, back.release.map.version, back.release.rolled_back_to), (3, 3, Some(1)));
@@ -119,8 +119,14 @@ async fn a_rollback_is_a_new_release_with_a_new_version() {
     assert_eq!(fetched.info.version, 3);
     fetched.info.version = 1;
     assert_eq!(fetched, contents);
-    assert_eq!(roll_back(&scratch.store, 1).await.unwrap(), Outcome::Unchanged { number: 3 });
-    assert!(matches!(roll_back(&scratch.store, 9).await, Err(ReleaseError::NoRelease { number: 9, .. })));
+    assert_eq!(
+        roll_back(&scratch.store, 1, &Note::default()).await.unwrap(),
+        Outcome::Unchanged { number: 3 }
+    );
+    assert!(matches!(
+        roll_back(&scratch.store, 9, &Note::default()).await,
+        Err(ReleaseError::NoRelease { number: 9, .. })
+    ));
     // What is published next comes after it, though its own version is older.
     let next = published(&scratch.store, &without_the_last(&contents)).await.release;
     assert_eq!((next.number, next.map.version), (4, 4));
@@ -221,7 +227,7 @@ async fn damage_is_named_and_a_torn_upload_changes_nothing() {
     let manifest = &scratch.files("releases")[0];
     let text = std::fs::read_to_string(manifest).unwrap();
     for (from, to, says) in [
-        ("\"schema\": 6", "\"schema\": 7", "it has schema 7, this program reads 6"),
+        ("\"schema\": 7", "\"schema\": 6", "it has schema 6, this program reads 7"),
         ("\"number\": 1", "\"number\": 3", "it says that it is release 3"),
         ("\"sha256\": \"", "\"sha256\": \"../", "has the segment"),
         ("\"keyframes\"", "\"frames\"", "unknown field"),

@@ -10,7 +10,7 @@ use map_server::CellChoice;
 use object_store::memory::InMemory;
 use object_store::throttle::{ThrottleConfig, ThrottledStore};
 use protocol::{KeyframeId, MatchOutcome, MatchRequest};
-use releases::{Outcome, Published, ReleaseStore, fetch_cell, publish, roll_back};
+use releases::{Note, Outcome, Published, ReleaseStore, fetch_cell, publish, roll_back};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
@@ -213,7 +213,8 @@ async fn what_is_torn_or_has_a_wrong_hash_is_not_served() {
     tear(&away.join("segments").join(torn));
     std::fs::rename(&away, &town.city).unwrap();
     stays_at(&city, third.map.version, Duration::from_secs(2)).await;
-    let Outcome::Published(back) = roll_back(&town.store, third.number).await.unwrap() else {
+    let Outcome::Published(back) = roll_back(&town.store, third.number, &Note::default()).await.unwrap()
+    else {
         panic!("nothing changed")
     };
     wait_for_version(&city, back.release.map.version).await;

@@ -48,6 +48,11 @@ pub mod releases;
 pub mod releases;
 pub mod run;
 pub mod simulate;
+#[cfg(feature = "releases")]
+pub mod stages;
+#[cfg(not(feature = "releases"))]
+#[path = "no_stages.rs"]
+pub mod stages;
 pub mod track;
 pub mod view;
 pub mod weights;
@@ -99,6 +104,10 @@ pub enum Command {
     ListReleases(releases::ListArgs),
     /// Say what is new, gone or moved between two releases, and where
     DiffReleases(releases::DiffArgs),
+    /// Make a candidate the next release
+    PromoteRelease(stages::PromoteArgs),
+    /// Reject a candidate
+    RejectRelease(stages::RejectArgs),
     /// Publish the map of a former release again
     Rollback(releases::RollbackArgs),
     /// Remove old releases, and what no release needs
@@ -162,6 +171,8 @@ impl Command {
             Self::PublishMap(args) => publish_map::run(&args),
             Self::ListReleases(args) => releases::list(&args),
             Self::DiffReleases(args) => releases::diff(&args),
+            Self::PromoteRelease(args) => stages::promote(&args),
+            Self::RejectRelease(args) => stages::reject(&args),
             Self::Rollback(args) => releases::roll_back(&args),
             Self::CleanReleases(args) => releases::clean(&args),
             Self::ReleaseKey(args) => releases::generate_key(&args),

@@ -3,7 +3,9 @@
 use super::releases::in_store;
 use indicatif::{ProgressBar, ProgressStyle};
 use map::store::load_map;
-use releases::{Outcome, PublishOptions, Published, ReleaseError, ReleaseStore, SigningKey, publish};
+use releases::{
+    Note, Outcome, PublishOptions, Published, ReleaseError, ReleaseStore, SigningKey, Stage, publish,
+};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -13,6 +15,7 @@ use std::path::PathBuf;
     driftless publish-map --map city.db --to s3://bucket/city\n  \
     driftless publish-map --map city.db --to /srv/releases/city\n  \
     driftless publish-map --map city.db --to s3://bucket/city --sign city.key      (of driftless release-key)\n  \
+    driftless publish-map --map city.db --to s3://bucket/city --stage candidate --author ada --comment 'racks moved'\n  \
     map_server --map city=s3://bucket/city\n\n\
     The map is cut into cells, one segment each; segments that the newest release has are not sent again. A release never\n\
     changes. Of two that publish at once, one is told that the other was first. Credentials, region and endpoint come from the\n\
@@ -28,11 +31,45 @@ pub struct Args {
     /// Cut cells with more keyframes than these
     #[arg(long, value_name = "N", default_value_t = PublishOptions::default().keyframes_a_cell as u64, value_parser = clap::value_parser!(u64).range(1..))]
     keyframes_per_cell: u64,
+    /// live: servers take it. candidate: it is proposed, and servers take it where they are told to (URL@candidate)
+    #[arg(long, value_name = "STAGE", value_enum, default_value_t)]
+    stage: StageArg,
+    #[command(flatten)]
+    note: NoteArgs,
     #[command(flatten)]
     signing: SigningArgs,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Where a release is put.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+enum StageArg {
+    /// Among those that servers take.
+    #[default]
+    Live,
+    /// Beside them.
+    Candidate,
+}
+
+/// Who does something to a release, and why.
+#[derive(Clone, Debug, clap::Args)]
+pub struct NoteArgs {
+    /// Who does it, for the list of releases
+    #[arg(long, value_name = "NAME")]
+    author: Option<String>,
+    /// Why, for the list of releases
+    #[arg(long, value_name = "TEXT")]
+    comment: Option<String>,
+}
+
+impl NoteArgs {
+    /// # Errors
+    /// A text that cannot be stored.
+    pub(super) fn read(&self) -> Result<Note, ReleaseError> {
+        Note::new(self.author.clone(), self.comment.clone())
+    }
 }
 
 /// How a release is signed.
@@ -61,6 +98,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let contents = load_map(&args.map)?.contents;
     let mut options = PublishOptions::default();
     options.keyframes_a_cell = usize::try_from(args.keyframes_per_cell)?;
+    options.note = args.note.read()?;
+    options.stage = match args.stage {
+        StageArg::Live => Stage::Live,
+        StageArg::Candidate => Stage::Candidate,
+    };
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
     bar.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len} cells {elapsed_precise}")?);
     let outcome = in_store(&args.to, async |store| {
@@ -86,8 +128,8 @@ pub(super) fn print_outcome(outcome: &Outcome, as_json: bool) -> anyhow::Result<
                 return Ok(());
             }
             println!(
-                "release {}: version {} of {}, {} keyframes in {} cells; {sent} segments sent, {}",
-                release.number,
+                "{}: version {} of {}, {} keyframes in {} cells; {sent} segments sent, {}",
+                release.title(),
                 release.map.version,
                 release.map.name,
                 release.keyframes(),

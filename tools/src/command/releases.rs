@@ -1,9 +1,12 @@
 //! `driftless list-releases`, `diff-releases`, `rollback`, `clean-releases`, `release-key`.
 
-use super::publish_map::{SigningArgs, megabytes, print_outcome};
+use super::publish_map::{NoteArgs, SigningArgs, megabytes, print_outcome};
 use crate::map_difference::print_difference;
 use anyhow::ensure;
-use releases::{CellId, CleanOptions, Release, ReleaseError, ReleaseStore, SigningKey};
+use releases::{
+    CandidateState, CellId, CleanOptions, Note, Release, ReleaseChoice, ReleaseError, ReleaseStore,
+    SigningKey, candidate_state,
+};
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -26,19 +29,20 @@ pub struct ListArgs {
 
 /// Arguments of `diff-releases`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless diff-releases s3://bucket/city 6 7\n\n\
+#[command(after_help = "Examples:\n  driftless diff-releases s3://bucket/city 6 7\n  \
+    driftless diff-releases s3://bucket/city live candidate\n\n\
     Counts keyframes and landmarks that are new, gone or moved, and how far they moved, in all and by place: cubes of 10 m,\n\
     the one with the largest motion first. The cells that differ are fetched for it.")]
 pub struct DiffArgs {
     /// Where the releases are
     #[arg(value_name = "URL")]
     url: String,
-    /// Number of the earlier release
+    /// The earlier release: its number, live, candidate, or candidate-3
     #[arg(value_name = "FROM")]
-    from: u64,
-    /// Number of the later release [default: the newest]
-    #[arg(value_name = "TO")]
-    to: Option<u64>,
+    from: ReleaseChoice,
+    /// The later release
+    #[arg(value_name = "TO", default_value_t)]
+    to: ReleaseChoice,
     /// Print the difference as JSON
     #[arg(long)]
     json: bool,
@@ -55,6 +59,8 @@ pub struct RollbackArgs {
     /// Number of the release to go back to
     #[arg(value_name = "RELEASE")]
     release: u64,
+    #[command(flatten)]
+    note: NoteArgs,
     #[command(flatten)]
     signing: SigningArgs,
     /// Print the result as JSON
@@ -100,52 +106,100 @@ pub struct CleanArgs {
 /// Runs `list-releases`.
 ///
 /// # Errors
-/// A store that cannot be read. A release that is damaged is listed as such.
+/// A store that cannot be read.
 pub fn list(args: &ListArgs) -> anyhow::Result<()> {
-    let all = in_store(&args.url, async |store| {
-        let mut all = Vec::new();
-        for number in store.numbers().await? {
-            all.push((number, store.release(number).await));
-        }
-        Ok(all)
-    })?;
+    let all = in_store(&args.url, listed)?;
     if args.json {
-        let value: Vec<_> = all
-            .iter()
-            .map(|(number, release)| match release {
-                Ok(release) => json!(release),
-                Err(error) => json!({"number": number, "error": error.to_string()}),
-            })
-            .collect();
+        let value: Vec<_> = all.iter().map(Listed::as_json).collect();
         println!("{}", serde_json::to_string_pretty(&value)?);
         return Ok(());
     }
     if all.is_empty() {
         println!("{} has no releases", args.url);
     }
-    for (number, release) in all {
+    for Listed { title, release } in all {
         match release {
-            Ok(release) => {
-                println!(
-                    "{number:>6}  {}  version {}, {} keyframes and {} landmarks in {} cells, {}{}",
-                    utc_time(release.published_unix_s),
-                    release.map.version,
-                    release.keyframes(),
-                    release.landmarks(),
-                    release.cells.len(),
-                    megabytes(release.bytes()),
-                    release
-                        .rolled_back_to
-                        .map_or_else(String::new, |to| format!(", the map of release {to} again"))
-                );
+            Ok((release, state)) => {
+                print_release(&title, &release, state.as_ref());
                 if args.cells {
                     print_cells(&release);
                 }
             }
-            Err(error) => println!("{number:>6}  {error}"),
+            Err(error) => println!("{title:>12}  {error}"),
         }
     }
     Ok(())
+}
+
+/// A release or a candidate in the list.
+struct Listed {
+    title: String,
+    /// With the state of a candidate.
+    release: Result<(Release, Option<CandidateState>), ReleaseError>,
+}
+
+impl Listed {
+    fn as_json(&self) -> serde_json::Value {
+        match &self.release {
+            Ok((release, None)) => json!(release),
+            Ok((release, Some(state))) => json!({"candidate": release, "decision": state}),
+            Err(error) => json!({"title": self.title, "error": error.to_string()}),
+        }
+    }
+}
+
+/// All releases of a store, then all candidates. What is damaged is listed as such.
+async fn listed(store: ReleaseStore) -> Result<Vec<Listed>, ReleaseError> {
+    let mut all = Vec::new();
+    let mut newest = None;
+    for number in store.numbers().await? {
+        let release = store.release(number).await;
+        newest = release.as_ref().ok().cloned();
+        all.push(Listed { title: number.to_string(), release: release.map(|release| (release, None)) });
+    }
+    for number in store.candidate_numbers().await? {
+        let with_state = async {
+            let candidate = store.candidate(number).await?;
+            let state = candidate_state(&store, &candidate, newest.as_ref()).await?;
+            Ok((candidate, Some(state)))
+        };
+        let title = ReleaseChoice::Candidate(number).to_string();
+        all.push(Listed { title, release: with_state.await });
+    }
+    Ok(all)
+}
+
+fn print_release(title: &str, release: &Release, state: Option<&CandidateState>) {
+    let again = release.rolled_back_to.map(|to| format!(", the map of release {to} again"));
+    let was = release.candidate.filter(|_| state.is_none()).map(|number| format!(", was candidate {number}"));
+    println!(
+        "{title:>12}  {}  version {}, {} keyframes and {} landmarks in {} cells, {}{}{}{}",
+        utc_time(release.published_unix_s),
+        release.map.version,
+        release.keyframes(),
+        release.landmarks(),
+        release.cells.len(),
+        megabytes(release.bytes()),
+        again.unwrap_or_default(),
+        was.unwrap_or_default(),
+        state.map_or_else(String::new, |state| format!(", for release {}: {state}", release.number)),
+    );
+    print_note("published", &release.note);
+    if let Some(promotion) = &release.promotion {
+        print_note("promoted", promotion);
+    }
+    if let Some(CandidateState::Rejected(decision)) = state {
+        print_note("rejected", &decision.note);
+    }
+}
+
+/// Who did something, and why; nothing where neither is known.
+fn print_note(done: &str, note: &Note) {
+    let by = note.author.as_ref().map(|author| format!(" by {author}"));
+    let why = note.comment.as_ref().map(|comment| format!(": {comment}"));
+    if by.is_some() || why.is_some() {
+        println!("{:>12}  {done}{}{}", "", by.unwrap_or_default(), why.unwrap_or_default());
+    }
 }
 
 fn print_cells(release: &Release) {
@@ -173,21 +227,17 @@ fn print_cells(release: &Release) {
 /// A store or a release that cannot be read.
 pub fn diff(args: &DiffArgs) -> anyhow::Result<()> {
     let (from, to, map) = in_store(&args.url, async |store| {
-        let from = store.release(args.from).await?;
-        let to = match args.to {
-            Some(number) => store.release(number).await?,
-            None => newest(&store).await?,
-        };
+        let (from, to) = (args.from.of(&store).await?, args.to.of(&store).await?);
         let map = releases::difference(&store, &from, &to).await?;
         Ok((from, to, map))
     })?;
     let cells = from.difference(&to);
     if args.json {
-        let value = json!({"from": from.number, "to": to.number, "map": map, "cells": cells});
+        let value = json!({"from": from.title(), "to": to.title(), "map": map, "cells": cells});
         println!("{}", serde_json::to_string_pretty(&value)?);
         return Ok(());
     }
-    println!("release {} to {}", from.number, to.number);
+    println!("{} to {}", from.title(), to.title());
     print_difference(&map);
     println!("{} cells unchanged, {} to fetch", cells.unchanged, megabytes(cells.bytes));
     for (what, cells) in [("changed", &cells.changed), ("added", &cells.added), ("removed", &cells.removed)] {
@@ -204,8 +254,9 @@ pub fn diff(args: &DiffArgs) -> anyhow::Result<()> {
 /// # Errors
 /// A release that is not there, a store that cannot be written, another publisher that was faster.
 pub fn roll_back(args: &RollbackArgs) -> anyhow::Result<()> {
+    let note = args.note.read()?;
     let outcome = in_store(&args.url, async |store| {
-        releases::roll_back(&args.signing.apply(store)?, args.release).await
+        releases::roll_back(&args.signing.apply(store)?, args.release, &note).await
     })?;
     print_outcome(&outcome, args.json)
 }
@@ -233,25 +284,20 @@ pub fn clean(args: &CleanArgs) -> anyhow::Result<()> {
     let cleaned = in_store(&args.url, async |store| releases::clean(&store, &options).await)?;
     if args.json {
         let value = json!({
-            "releases": cleaned.releases, "segments": cleaned.segments, "bytes": cleaned.bytes, "dry_run": args.dry_run,
+            "releases": cleaned.releases, "candidates": cleaned.candidates, "segments": cleaned.segments, "bytes": cleaned.bytes, "dry_run": args.dry_run,
         });
         println!("{}", serde_json::to_string_pretty(&value)?);
     } else {
         println!(
-            "{} {} releases and {} segments, {}",
+            "{} {} releases, {} candidates and {} segments, {}",
             if args.dry_run { "would remove" } else { "removed" },
             cleaned.releases.len(),
+            cleaned.candidates.len(),
             cleaned.segments.len(),
             megabytes(cleaned.bytes)
         );
     }
     Ok(())
-}
-
-/// The newest release of a store that has one.
-async fn newest(store: &ReleaseStore) -> Result<Release, ReleaseError> {
-    let newest = store.newest().await?;
-    newest.ok_or_else(|| ReleaseError::Empty { place: store.place().to_owned() })
 }
 
 /// Does something with the releases at a place.
