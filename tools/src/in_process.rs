@@ -1,5 +1,6 @@
 //! A map server and robots in one process, over Zenoh on the loopback interface.
 
+use crate::map_place::{is_released, read_map};
 use crate::plotting::RunFiles;
 use crate::run_tracks::run_tracks;
 use anyhow::{Context as _, Result};
@@ -14,15 +15,23 @@ use std::path::Path;
 use std::sync::Arc;
 use tokio::runtime::Runtime;
 
-/// Loads a map database into memory, ready to be served.
+/// Loads a map into memory, ready to be served.
+///
+/// # Arguments
+/// * `map`: its database, or a release, see [`read_map`].
 ///
 /// # Errors
-/// A database that cannot be opened or read; the error names it.
-pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
-    let map = LoadedMap::read(database).map_err(|error| match error {
+/// A map that cannot be opened or read; the error names it.
+pub fn load_map(map: &Path) -> Result<Arc<LoadedMap>> {
+    let loaded = if is_released(map) {
+        LoadedMap::from_contents(read_map(map)?.contents)
+    } else {
+        LoadedMap::read(map)
+    };
+    let map = loaded.map_err(|error| match error {
         // It names the map.
         LoadError::Store(error) => error.into(),
-        error => anyhow::Error::from(error).context(format!("map {}", database.display())),
+        error => anyhow::Error::from(error).context(format!("map {}", map.display())),
     })?;
     // Now, and not with the first query, which has a deadline.
     map.aliasing_rate();

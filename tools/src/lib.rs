@@ -14,6 +14,7 @@ pub mod in_process;
 mod map_aliases;
 #[cfg(feature = "releases")]
 mod map_difference;
+pub mod map_place;
 mod old_spellings;
 mod open_page;
 pub mod playback;

@@ -172,3 +172,50 @@ fn a_candidate_is_proposed_compared_promoted_and_listed() {
     let bell = complaint_of(&[&publish[..], &["--comment", "a\u{7}b"]].concat());
     assert!(bell.contains("control characters"), "{bell}");
 }
+
+#[cfg(feature = "releases")]
+#[test]
+fn a_checkout_is_a_release_and_loses_no_unpublished_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (map, copy, city) = (path("place.db"), path("copy.db"), path("city"));
+    text_map(&folder.path().join("text"), 3);
+    json_of(&["import-map", &path("text"), "--map", &map]);
+    let publish = ["publish-map", "--map", &map, "--to", &city];
+    json_of(&publish);
+    let drop_a_keyframe = |id: &str| json_of(&["edit-map", "--map", &map, "--remove", id]);
+    drop_a_keyframe("11");
+    json_of(&publish);
+    json_of(&["rollback", &city, "1"]);
+    let info = |map: &str| json_of(&["map-info", "--map", map]);
+    let [first, bad, live] = ["1", "2", "live"].map(|release| info(&format!("{city}@{release}")));
+    assert_eq!(
+        (&first["keyframes"], &bad["keyframes"], &live["keyframes"]),
+        (&5.into(), &4.into(), &5.into())
+    );
+    assert_eq!((&bad["release"], &live["version"]), (&"release 2".into(), &3.into()));
+
+    // The working copy still has what was rolled back; it was published, so it may go.
+    let back = json_of(&["checkout", &city, "--map", &map]);
+    assert_eq!((&back["changed"], &back["release"]), (&true.into(), &3.into()));
+    assert_eq!((&info(&map)["keyframes"], &info(&map)["identity"]), (&5.into(), &first["identity"]));
+    assert_eq!(json_of(&["checkout", &city, "--map", &map])["changed"], false);
+    assert_eq!(json_of(&publish)["unchanged"], 3);
+    // What was not published stays.
+    drop_a_keyframe("12");
+    let edited = info(&map);
+    let refused = complaint_of(&["checkout", &format!("{city}@2"), "--map", &map]);
+    assert!(refused.contains("in no release") && refused.contains("--force"), "{refused}");
+    assert_eq!(info(&map), edited);
+    json_of(&["checkout", &format!("{city}@2"), "--map", &map, "--force"]);
+    assert_eq!(info(&map)["keyframes"], 4);
+    // A new database is a version of the same map, and another map is not overwritten.
+    json_of(&["checkout", &city, "--map", &copy]);
+    assert_eq!((&info(&copy)["identity"], &info(&copy)["version"]), (&first["identity"], &3.into()));
+    text_map(&folder.path().join("other"), 4);
+    json_of(&["import-map", &path("other"), "--map", &path("other.db")]);
+    let other = complaint_of(&["checkout", &city, "--map", &path("other.db"), "--force"]);
+    assert!(other.contains("choose another path"), "{other}");
+    let none = complaint_of(&["map-info", "--map", &format!("{city}@candidate")]);
+    assert!(none.contains("has no candidate"), "{none}");
+}

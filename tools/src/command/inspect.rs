@@ -36,8 +36,8 @@ pub struct Args {
     /// An image, PNG or JPEG, or a recording: a folder in the EuRoC layout or a bag
     #[arg(value_name = "IMAGE|REC")]
     pub query: PathBuf,
-    /// Database of the map
-    #[arg(long, value_name = "DB")]
+    /// Database of the map, or its releases: a folder or URL, with @7 for release 7, or @candidate
+    #[arg(long, value_name = "DB|URL")]
     pub map: PathBuf,
     /// The camera that took IMAGE: its sensor.yaml, or a camera chain of Kalibr (cam0)
     #[arg(long, value_name = "YAML")]

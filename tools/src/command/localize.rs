@@ -1,21 +1,26 @@
-//! `driftless localize`: the pose of a single image.
+//! `driftless localize`: the pose of a single image, by a server or by a map that is read here.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use map::store;
 use onboard::arguments::FeatureArguments;
-use protocol::Format;
+use protocol::{Format, LocalizeReply};
+use recognition::RecognitionOptions;
 
+use crate::in_process::load_map;
 use crate::query_image::QueryImage;
 use crate::server_query::{ServerArguments, describe, print_fix, print_places};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  map_server --map room=vicon_room.db &\n  \
-    driftless localize --map room --image query.png --camera V1_01_easy/mav0/cam0/sensor.yaml\n\n\
+#[command(after_help = "Examples:\n  map_server --map room=vicon_room.db &\n  \
+    driftless localize --map room --image query.png --camera V1_01_easy/mav0/cam0/sensor.yaml\n  \
+    driftless localize --map s3://bucket/city@candidate --image query.png --camera sensor.yaml\n\n\
     Exit code 0: localized. 2: the map was searched and the image was not recognized. 1: anything else.")]
 pub struct Args {
-    /// Name under which the server serves the map
-    #[arg(long, value_name = "NAME")]
+    /// Name under which a server serves the map; or the map itself, read by this command: a path like ./room.db, or the folder or URL
+    /// of its releases, with @7 for release 7, or @candidate
+    #[arg(long, value_name = "NAME|DB|URL")]
     pub map: String,
     /// The image, PNG or JPEG
     #[arg(long, value_name = "FILE")]
@@ -34,15 +39,21 @@ pub struct Args {
     pub json: bool,
 }
 
-/// Exit code for an image that was not recognized.
-pub(super) const NOT_RECOGNIZED: i32 = 2;
+/// Whether a map is to be read here: a path or a place of releases, and no name under which a server serves it.
+fn is_path(map: &str) -> bool {
+    let path = Path::new(map);
+    map.contains(['/', '\\', '@']) || path.extension().is_some_and(|end| end == "db") && store::is_map(path)
+}
 
-/// Runs the command.
-///
-/// # Errors
-/// An image, a camera or weights that cannot be read, an image of another size than the camera's, no server, a map that
-/// it does not have, features that are not of the map's extractor.
-pub fn run(args: &Args) -> anyhow::Result<()> {
+fn ask_map(args: &Args) -> anyhow::Result<(QueryImage, LocalizeReply)> {
+    let map = load_map(Path::new(&args.map))?;
+    let features = args.features.or_of_map(&map.info().extractor);
+    let query = QueryImage::from_file(&args.image, &args.camera, &features)?;
+    let reply = map.localize(&query.request(), &RecognitionOptions::default())?;
+    Ok((query, reply))
+}
+
+fn ask_server(args: &Args) -> anyhow::Result<(QueryImage, LocalizeReply)> {
     let features = match &args.features.extractor {
         Some(_) => args.features.clone(),
         None => args.features.or_of_map(&args.server.extractor_of(&args.map)?),
@@ -52,6 +63,19 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let reply = args
         .server
         .query_in_session(&args.map, async |client, deadline| client.localize(&request, deadline).await)?;
+    Ok((query, reply))
+}
+
+/// Exit code for an image that was not recognized.
+pub(super) const NOT_RECOGNIZED: i32 = 2;
+
+/// Runs the command.
+///
+/// # Errors
+/// An image, a camera or weights that cannot be read, an image of another size than the camera's, no server, a map that
+/// it does not have, features that are not of the map's extractor.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let (query, reply) = if is_path(&args.map) { ask_map(args)? } else { ask_server(args)? };
     if args.json {
         let value: serde_json::Value = serde_json::from_slice(&protocol::encode(Format::Json, &reply)?)?;
         println!("{value:#}");

@@ -6,23 +6,26 @@ use std::path::PathBuf;
 use geometry::PoseWithCovariance;
 use indicatif::ProgressBar;
 use map::contents::MapContents;
-use map::store::{self, StoredMap};
+use map::store;
 use nalgebra::Vector3;
 use protocol::MapIdentity;
 use recognition::likely_alias;
 use serde::Serialize;
 
 use crate::map_aliases::MapAliases;
+use crate::map_place::{NamedMap, read_map};
 use mapping::Spread;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless map-info --map yq.db\n\n\
+#[command(
+    after_help = "Examples:\n  driftless map-info --map yq.db\n  driftless map-info --map s3://bucket/city@candidate\n\n\
                         The sigmas are standard deviations of the keyframes' poses per axis, as build-map prints them.\n\
-                        The identity is the same for all versions of a map, and different for different maps.")]
+                        The identity is the same for all versions of a map, and different for different maps."
+)]
 pub struct Args {
-    /// Database of the map
-    #[arg(long, value_name = "DB")]
+    /// Database of the map, or its releases: a folder or URL, with @7 for release 7, or @candidate
+    #[arg(long, value_name = "DB|URL")]
     pub map: PathBuf,
     /// List the keyframes whose image could be taken for another place. Those of which the map does not state it are
     /// compared with the rest of the map first
@@ -37,6 +40,9 @@ pub struct Args {
 #[derive(Serialize)]
 struct Summary {
     map: PathBuf,
+    /// Which release it is, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    release: Option<String>,
     name: String,
     created_by: String,
     version: u64,
@@ -73,9 +79,9 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// A database that is missing, unfinished or damaged.
+/// A database that is missing, unfinished or damaged, a release that cannot be read.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let stored = store::load_map(&args.map)?;
+    let stored = read_map(&args.map)?;
     let mut summary = summary(args.map, &stored);
     if args.aliases {
         let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
@@ -89,7 +95,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
+fn summary(map: PathBuf, stored: &NamedMap) -> Summary {
     let contents: &MapContents = &stored.contents;
     let positions =
         || contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
@@ -106,12 +112,13 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         stamps().max().zip(stamps().min()).map_or(0, |(last, first)| last.saturating_sub(first));
     Summary {
         map,
+        release: stored.release.clone(),
         name: contents.info.name.clone(),
         created_by: contents.info.created_by.clone(),
         version: contents.info.version,
         identity: contents.info.identity,
         schema: store::STORE_SCHEMA,
-        bytes_on_disk: stored.bytes_on_disk,
+        bytes_on_disk: stored.bytes,
         keyframes: contents.keyframes.len(),
         landmarks: contents.landmarks.len(),
         observations: contents.observation_count(),
@@ -146,6 +153,9 @@ fn print_summary(summary: &Summary) {
         format!("mean {mean:.digits$}, median {median:.digits$}, 95 % below {p95:.digits$}")
     };
     println!("map                      {}", summary.map.display());
+    if let Some(release) = &summary.release {
+        println!("  release                {release}");
+    }
     println!("  name                   {}, by {}", summary.name, summary.created_by);
     println!("  version                {} (schema {})", summary.version, summary.schema);
     if let Some(identity) = summary.identity {

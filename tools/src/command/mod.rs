@@ -5,6 +5,8 @@ use clap::Subcommand;
 pub mod build_map;
 mod build_report;
 pub mod check_calibration;
+#[cfg(feature = "releases")]
+pub mod checkout;
 #[cfg(feature = "bags")]
 pub mod convert;
 pub mod demo;
@@ -75,7 +77,7 @@ macro_rules! left_out {
         }
     )+};
 }
-left_out!(convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases");
+left_out!(checkout: "releases", convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases");
 
 /// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
@@ -110,6 +112,8 @@ pub enum Command {
     RejectRelease(stages::RejectArgs),
     /// Publish the map of a former release again
     Rollback(releases::RollbackArgs),
+    /// Make a map on this machine that of a release
+    Checkout(checkout::Args),
     /// Remove old releases, and what no release needs
     CleanReleases(releases::CleanArgs),
     /// Make a key with which releases are signed
@@ -174,6 +178,7 @@ impl Command {
             Self::PromoteRelease(args) => stages::promote(&args),
             Self::RejectRelease(args) => stages::reject(&args),
             Self::Rollback(args) => releases::roll_back(&args),
+            Self::Checkout(args) => checkout::run(&args),
             Self::CleanReleases(args) => releases::clean(&args),
             Self::ReleaseKey(args) => releases::generate_key(&args),
             Self::MapInfo(args) => map_info::run(args),

@@ -301,7 +301,7 @@ pub fn clean(args: &CleanArgs) -> anyhow::Result<()> {
 }
 
 /// Does something with the releases at a place.
-pub(super) fn in_store<T>(
+pub(crate) fn in_store<T>(
     url: &str,
     work: impl AsyncFnOnce(ReleaseStore) -> Result<T, ReleaseError>,
 ) -> anyhow::Result<T> {

@@ -25,8 +25,8 @@ pub struct Args {
     /// Calibration
     #[command(flatten)]
     calibration: CalibrationArguments,
-    /// The map's database (not needed with --mode odometry)
-    #[arg(long, value_name = "DB")]
+    /// The map's database, or its releases: a folder or URL, with @7 for release 7, or @candidate (not needed with --mode odometry)
+    #[arg(long, value_name = "DB|URL")]
     map: Option<PathBuf>,
     /// Print the summary as JSON
     #[arg(long, conflicts_with = "open")]

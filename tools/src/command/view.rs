@@ -1,5 +1,6 @@
 //! `driftless view`: a map or a run in the browser.
 
+use crate::map_place::read_map;
 use crate::old_spellings;
 use crate::open_page::announce;
 use crate::plotting::RunFiles;
@@ -17,7 +18,8 @@ use viewer::{ViewedMap, Viewer, ViewerServer};
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  driftless view --map place.db --open\n  driftless view out --map place.db\n\n\
+    after_help = "Examples:\n  driftless view --map place.db --open\n  driftless view out --map place.db\n  \
+    driftless view --map s3://bucket/city@candidate\n\n\
     Shows it on http://127.0.0.1:8080 until Ctrl-C; nothing is written. A running server shows its robots too:\n  \
     map_server --map place=place.db --http 127.0.0.1:8080"
 )]
@@ -25,8 +27,9 @@ pub struct Args {
     /// Output folder of a run, with its states.csv
     #[arg(value_name = "DIR", required_unless_present = "map")]
     run: Option<PathBuf>,
-    /// Database of a map; with DIR the one that the run was localized in, which is shown below the run
-    #[arg(long, value_name = "DB")]
+    /// Database of a map, or its releases: a folder or URL, with @7 for release 7, or @candidate. With DIR the one that the run
+    /// was localized in, which is shown below the run
+    #[arg(long, value_name = "DB|URL")]
     map: Option<PathBuf>,
     /// Ground truth of the run [default: that of the recording which summary.json names]
     #[arg(long, value_name = "FILE", requires = "run")]
@@ -48,7 +51,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         old_spellings::refuse("view", folder)?;
     }
     let database = args.map.as_ref();
-    let contents = database.map(store::load_map).transpose()?.map(|stored| stored.contents);
+    let contents = database.map(|map| read_map(map)).transpose()?.map(|named| named.contents);
     let gravity = contents.as_ref().and_then(|contents| contents.info.gravity_in_global);
     let viewer = if let Some(folder) = &args.run {
         let run =

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use protocol::MapIdentity;
+
 use crate::contents::ContentsError;
 use crate::file::record::RecordError;
 use crate::file::segment::SegmentError;
@@ -51,6 +53,20 @@ pub enum StoreError {
         found: u16,
         /// [`super::STORE_SCHEMA`].
         expected: u16,
+    },
+    /// A copy of one map cannot take the place of another one.
+    #[error(
+        "{path} holds {}, and what is to be written is {}: choose another path",
+        found.map_or_else(|| "no map".to_owned(), |found| format!("the map {found}")),
+        given.map_or_else(|| "a map without identity".to_owned(), |given| format!("the map {given}"))
+    )]
+    OtherMap {
+        /// The path.
+        path: PathBuf,
+        /// Identity of the map that is there.
+        found: Option<MapIdentity>,
+        /// Identity of the map that was to be written.
+        given: Option<MapIdentity>,
     },
     /// Another process writes the map.
     #[error(

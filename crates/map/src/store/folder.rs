@@ -70,6 +70,14 @@ impl Seen {
         }
     }
 
+    /// Of the map that is there, where it states one.
+    pub(super) fn identity(&self) -> Option<MapIdentity> {
+        match self {
+            Seen::Nothing => None,
+            Seen::Version { identity, .. } => *identity,
+        }
+    }
+
     /// 0 for none.
     pub(super) fn version(&self) -> u64 {
         match self {

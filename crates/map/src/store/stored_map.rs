@@ -18,7 +18,7 @@ pub struct StoredMap {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SavedMap {
-    /// 1 for a new map, else one more than that of the map that was replaced.
+    /// 1 for a new map, else one more than that of the map that was replaced; of a copy, see [`MapTarget::save_copy`](super::MapTarget::save_copy).
     pub version: u64,
     /// That of the map that was replaced, else the digest of the new one.
     pub identity: MapIdentity,

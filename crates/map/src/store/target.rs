@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::error::StoreError;
 use super::folder::{Seen, ensure_free};
 use super::stored_map::SavedMap;
-use super::writing;
+use super::writing::{self, Numbering};
 use crate::contents::MapContents;
 
 /// Where a map is to be written, and what was there when the work on it began.
@@ -58,7 +58,22 @@ impl MapTarget {
     /// Those of [`save_map`](super::save_map); [`StoreError::Changed`] where another version was written since.
     pub fn save(&self, contents: &MapContents) -> Result<SavedMap, StoreError> {
         contents.validate()?;
-        writing::write(&self.path, contents, self.replace, &self.seen)
+        writing::write(&self.path, contents, self.replace, &self.seen, Numbering::Own)
+    }
+
+    /// Writes a copy of a map that has its identity and its versions elsewhere, as of a release: with that identity, and a version
+    /// that is not less than either map's. What is there must be a version of the same map, or nothing.
+    ///
+    /// # Errors
+    /// As of [`MapTarget::save`]; [`StoreError::OtherMap`] where another map is there, or the copied one states no identity.
+    pub fn save_copy(&self, contents: &MapContents) -> Result<SavedMap, StoreError> {
+        contents.validate()?;
+        let given = contents.info.identity;
+        let found = self.seen.identity();
+        if given.is_none() || found.is_some() && found != given {
+            return Err(StoreError::OtherMap { path: self.path.clone(), found, given });
+        }
+        writing::write(&self.path, contents, self.replace, &self.seen, Numbering::OfContents)
     }
 }
 

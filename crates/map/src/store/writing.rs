@@ -21,11 +21,13 @@ const SEGMENT_BYTES: usize = 16 << 20;
 ///
 /// # Arguments
 /// * `seen`: what must still be there.
+/// * `numbering`: which version and identity it gets.
 pub(super) fn write(
     map: &Path,
     contents: &MapContents,
     replace: bool,
     seen: &Seen,
+    numbering: Numbering,
 ) -> Result<SavedMap, StoreError> {
     let failed = |problem| StoreError::Write { path: map.to_owned(), problem };
     ensure_free(map, replace)?;
@@ -44,13 +46,25 @@ pub(super) fn write(
     }
 
     let present = Present::of(map);
-    let version = present.version + 1;
+    let (version, identity) = match numbering {
+        Numbering::Own => (present.version + 1, present.identity),
+        Numbering::OfContents => (contents.info.version.max(present.version + 1), contents.info.identity),
+    };
     let path = map.join(file_of(version));
-    let written = write_version(map, &path, contents, version, present.identity);
+    let written = write_version(map, &path, contents, version, identity);
     // What it left is no map, and is replaced by the next one that is written.
     let saved = written.inspect_err(|_| _ = std::fs::remove_file(&path)).map_err(failed)?;
     remove_all_but(map, version);
     Ok(saved)
+}
+
+/// Which version and identity a map gets that is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Numbering {
+    /// The next version of the map that is there, with its identity.
+    Own,
+    /// Those of the contents; a version beyond that of the map that is there.
+    OfContents,
 }
 
 /// The map that is replaced.
