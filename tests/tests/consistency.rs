@@ -8,7 +8,7 @@ use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 
 /// Scenarios, each with its own trajectories, noise, landmarks and errors of the map: independent samples.
-const PLACES: u64 = 6;
+const PLACES: u64 = 4;
 /// Confidence of the bounds. Generous: a mean over a run varies less than the single sample that it counts as.
 const CONFIDENCE: f64 = 0.999;
 

@@ -16,6 +16,7 @@ fn recording(seconds: f64) -> Sequence {
         speed: scenario.usual_speed(),
         depth_m: scenario.depth_m(),
         duration_s: Some(seconds),
+        max_tracks: 60,
         live_feature_period_s: 1e9,
         ..SimulationOptions::default()
     };
@@ -38,7 +39,7 @@ fn differing(check: &CalibrationCheck) -> Vec<&str> {
 #[test]
 fn a_right_calibration_agrees() {
     for cameras in [1, 2] {
-        let check = check(&mut recording(30.0), cameras);
+        let check = check(&mut recording(20.0), cameras);
         assert!(check.agrees && differing(&check).is_empty());
         assert!(check.parameters.iter().all(|parameter| parameter.agreement == Agreement::Agrees));
     }
@@ -46,7 +47,7 @@ fn a_right_calibration_agrees() {
 
 #[test]
 fn late_images_are_named_with_how_late_they_are() {
-    let mut sequence = recording(30.0);
+    let mut sequence = recording(20.0);
     for frame in &mut sequence.frames {
         frame.stamp_ns += 30_000_000;
     }
@@ -58,7 +59,7 @@ fn late_images_are_named_with_how_late_they_are() {
 
 #[test]
 fn wrong_extrinsics_and_a_wrong_focal_length_are_named() {
-    let mut sequence = recording(30.0);
+    let mut sequence = recording(20.0);
     for sensor in &mut sequence.cameras {
         let turned = rotation::exp(&Vector3::new(0.0, 3.0_f64.to_radians(), 0.0));
         sensor.imu_from_camera.rotation = turned * sensor.imu_from_camera.rotation;
@@ -67,7 +68,7 @@ fn wrong_extrinsics_and_a_wrong_focal_length_are_named() {
     assert_eq!(differing(&found), ["cam0 rotation in the IMU's frame", "cam1 rotation in the IMU's frame"]);
     assert!((found.parameters[1].difference[1] + 3.0).abs() < 0.2, "deg");
 
-    let mut sequence = recording(30.0);
+    let mut sequence = recording(20.0);
     sequence.cameras[0].camera.focal.iter_mut().for_each(|focal| *focal *= 1.03);
     let found = check(&mut sequence, 1);
     assert_eq!(differing(&found), ["cam0 focal length"]);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZero;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 
@@ -40,8 +41,10 @@ pub fn for_each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync, take: i
     for_each_in_order(processors(), count, work, take);
 }
 
+/// Asked for once: the system reads files for it, as often as an adjustment has steps.
 fn processors() -> usize {
-    std::thread::available_parallelism().map_or(1, NonZero::get)
+    static PROCESSORS: OnceLock<usize> = OnceLock::new();
+    *PROCESSORS.get_or_init(|| std::thread::available_parallelism().map_or(1, NonZero::get))
 }
 
 /// Does `work` for `0..count` on some threads, and gives the results to `take` on this thread, in this order.

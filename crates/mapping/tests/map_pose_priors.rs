@@ -24,6 +24,7 @@ fn recording(seed: u64) -> Sequence {
         scenario: Scenario::Loops,
         speed: 3.0,
         duration_s: Some(60.0),
+        max_tracks: 60,
         live_feature_period_s: 0.5,
         dropout_fraction: 0.0,
         ..SimulationOptions::default()

@@ -9,6 +9,7 @@ use super::texture::Texture;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use std::f32::consts::TAU;
+use std::ops::Range;
 
 /// Radii of the shapes, metres.
 const RADII_M: [f32; 2] = [0.012, 0.5];
@@ -18,6 +19,8 @@ const COVERAGE: f32 = 8.0;
 const GREYS: [f32; 2] = [25.0, 190.0];
 /// Largest change of grey from the middle of a shape to its border.
 const SHADING: f32 = 18.0;
+/// Beyond the border of a shape, texels: what is farther is not painted, with half a texel for rounding.
+const MARGIN: f32 = 1.0;
 /// Most sides of a shape.
 const MAX_SIDES: usize = 6;
 
@@ -53,6 +56,7 @@ pub fn random_texture(size: [usize; 2], texels_per_metre: f32, seed: u64) -> Tex
     let margin = large;
     let area = (width as f32 + 2.0 * margin) * (height as f32 + 2.0 * margin);
     let count = (COVERAGE * area / (std::f32::consts::PI * mean_square)) as usize;
+    let mut distances = Vec::new();
     for _ in 0..count {
         let share: f32 = rng.random_range(0.0..1.0);
         let radius = (small.powi(-2) - share * (small.powi(-2) - large.powi(-2))).powf(-0.5);
@@ -61,7 +65,7 @@ pub fn random_texture(size: [usize; 2], texels_per_metre: f32, seed: u64) -> Tex
             rng.random_range(0.0..width as f32 + 2.0 * margin) - margin,
             rng.random_range(0.0..height as f32 + 2.0 * margin) - margin,
         ];
-        Leaf::random(&mut rng, centre, radius).paint(size, &mut texels);
+        Leaf::random(&mut rng, centre, radius).paint(size, &mut texels, &mut distances);
     }
     Texture::from_texels(size, texels)
 }
@@ -82,40 +86,92 @@ impl Leaf {
         Self { centre, radius, sides, grey, slope: [steep * angle.cos(), steep * angle.sin()] }
     }
 
-    /// Distance to the border, texels, negative inside.
-    fn distance(&self, x: f32, y: f32) -> f32 {
-        let round = (x * x + y * y).sqrt() - self.radius;
-        let straight = self.sides.iter().map(|([nx, ny], distance)| nx * x + ny * y - distance);
-        straight.fold(round, f32::max)
+    /// Paints the shape over what is there; texels on its border are mixed.
+    fn paint(&self, [width, height]: [usize; 2], texels: &mut [u8], distances: &mut Vec<f32>) {
+        for row in
+            texels_between(self.centre[1] - self.radius - 1.0, self.centre[1] + self.radius + 1.0, height)
+        {
+            let y = row as f32 + 0.5 - self.centre[1];
+            let Some([from, to]) = self.extent(y) else { continue };
+            let columns = texels_between(self.centre[0] + from, self.centre[0] + to, width);
+            let first_x = columns.start as f32 + 0.5;
+            self.distances(y, first_x, columns.len(), distances);
+            let texels = &mut texels[row * width..][columns];
+            for (index, (texel, distance)) in texels.iter_mut().zip(&*distances).enumerate() {
+                let opacity = (0.5 - *distance).clamp(0.0, 1.0);
+                if opacity > 0.0 {
+                    let x = first_x + index as f32 - self.centre[0];
+                    let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
+                    let before = f32::from(*texel);
+                    *texel = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
+                }
+            }
+        }
     }
 
-    /// Paints the shape over what is there; texels on its border are mixed.
-    fn paint(&self, [width, height]: [usize; 2], texels: &mut [u8]) {
-        let range = |centre: f32, side: usize| {
-            let begin = (centre - self.radius - 1.0).max(0.0) as usize;
-            let end = ((centre + self.radius + 2.0).max(0.0) as usize).min(side);
-            begin.min(end)..end
-        };
-        let columns = range(self.centre[0], width);
-        for row in range(self.centre[1], height) {
-            let y = row as f32 + 0.5 - self.centre[1];
-            let texels = &mut texels[row * width..(row + 1) * width];
-            for column in columns.clone() {
-                let x = column as f32 + 0.5 - self.centre[0];
-                let opacity = (0.5 - self.distance(x, y)).clamp(0.0, 1.0);
-                if opacity > 0.0 {
-                    let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
-                    let before = f32::from(texels[column]);
-                    texels[column] = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
-                }
+    /// Range of `x` in the row `y` that the shape covers, with a texel of margin; `None` where it covers nothing.
+    fn extent(&self, y: f32) -> Option<[f32; 2]> {
+        let reach = self.radius + MARGIN;
+        let half = (reach * reach - y * y).max(0.0).sqrt();
+        let [mut from, mut to] = [-half, half];
+        for ([nx, ny], distance) in &self.sides {
+            let room = distance + MARGIN - ny * y;
+            // One that is nearly parallel to the row bounds no part of it.
+            if *nx > 1e-3 {
+                to = to.min(room / nx);
+            } else if *nx < -1e-3 {
+                from = from.max(room / nx);
+            }
+        }
+        (from <= to).then_some([from, to])
+    }
+
+    /// Distances to the border, texels, negative inside, of the texels of a row beginning with that at `first_x`.
+    fn distances(&self, y: f32, first_x: f32, count: usize, distances: &mut Vec<f32>) {
+        let x = |index: usize| first_x + index as f32 - self.centre[0];
+        distances.clear();
+        distances.extend((0..count).map(|index| (x(index) * x(index) + y * y).sqrt() - self.radius));
+        for ([nx, ny], distance) in &self.sides {
+            for (index, largest) in distances.iter_mut().enumerate() {
+                *largest = largest.max(nx * x(index) + ny * y - distance);
             }
         }
     }
 }
 
+/// The texels of a row or column of so many whose middles are between two coordinates.
+fn texels_between(from: f32, to: f32, count: usize) -> Range<usize> {
+    let begin = (from.max(0.0) as usize).min(count);
+    begin..((to + 1.0).max(0.0) as usize).clamp(begin, count)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_texels_that_a_shape_does_not_reach_are_all_that_is_skipped() {
+        let size = [90, 70];
+        let mut rng = StdRng::seed_from_u64(2);
+        let (mut painted, mut expected) = (vec![100; size[0] * size[1]], vec![100; size[0] * size[1]]);
+        for _ in 0..300 {
+            let centre = [rng.random_range(-20.0..110.0), rng.random_range(-20.0..90.0)];
+            let radius = rng.random_range(1.0..40.0);
+            let leaf = Leaf::random(&mut rng, centre, radius);
+            leaf.paint(size, &mut painted, &mut Vec::new());
+            for (index, texel) in expected.iter_mut().enumerate() {
+                let at = |index: usize, axis: usize| index as f32 + 0.5 - centre[axis];
+                let (x, y) = (at(index % size[0], 0), at(index / size[0], 1));
+                let sides = leaf.sides.iter().map(|([nx, ny], distance)| nx * x + ny * y - distance);
+                let distance = sides.fold((x * x + y * y).sqrt() - leaf.radius, f32::max);
+                let opacity = (0.5 - distance).clamp(0.0, 1.0);
+                let grey = leaf.grey + leaf.slope[0] * x + leaf.slope[1] * y;
+                let before = f32::from(*texel);
+                *texel = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
+            }
+            assert_eq!(painted, expected);
+        }
+    }
 
     #[test]
     fn a_texture_is_its_seed_s_and_has_contrast_at_every_scale() {

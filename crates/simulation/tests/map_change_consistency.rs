@@ -40,7 +40,7 @@ fn pose_after_a_change(
 
 #[test]
 fn nees_in_g_is_as_stated_behind_a_change_that_is_stated_and_above_it_without() {
-    is_as_stated_behind_a_change(12, Tracks::Few);
+    is_as_stated_behind_a_change(8, Tracks::Few);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use estimator::EstimatorConfig;
 use simulation::monte_carlo::{AnswerOptions, Disturbance, DisturbedState, MonteCarloOptions, Variant, run};
 
 /// Of each failure with one and with two cameras, in every run of the tests, and in the nightly one.
-const SEEDS: usize = 4;
+const SEEDS: usize = 2;
 const ALL_SEEDS: usize = 10;
 
 /// The failures, each of as many seeds with one and with two cameras.

@@ -8,7 +8,7 @@ use simulation::monte_carlo::{MonteCarloOptions, OutputScore, Variant, VariantRu
 use simulation::{Scenario, SimulationOptions};
 
 /// Seeds of every run, and of the nightly one.
-const RUNS: usize = 3;
+const RUNS: usize = 2;
 const ALL_RUNS: usize = 20;
 /// Of these, those in which a filter that knows the readout time must not be worse than one that does not.
 const MOST_RUNS: usize = 19;

@@ -24,6 +24,7 @@ pub fn sessions(seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Seque
         scenario: Scenario::Loops,
         speed: 3.0,
         duration_s: Some(session_s * count as f64),
+        max_tracks: 60,
         live_feature_period_s: period_s,
         dropout_fraction: 0.0,
         ..SimulationOptions::default()
