@@ -133,7 +133,7 @@ impl Input {
         Ok(match (arguments.source, &arguments.sequence) {
             (Source::Recording, Some(sequence)) => {
                 let mut files = arguments.calibration.files();
-                arguments.robot.wheels.name_topic(&mut files);
+                arguments.robot.wheels.name_topic(&mut files)?;
                 arguments.robot.gnss.name_topic(&mut files)?;
                 Self::Recording(Box::new(Recording::open_with(sequence, &files)?))
             }

@@ -1,15 +1,16 @@
 //! Sensors that are ROS 2 topics.
 
 use crate::arguments::{CalibrationArguments, WheelArguments};
+use crate::ros_wheels::{RosJoints, RosWheels};
 use crate::topic_watch::TopicWatch;
 use anyhow::bail;
 use ros_messages::RosMessage;
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState};
 use ros2::{Node, NodeOptions, Qos, Received, Reliability, RosError, Subscriber};
+use sensors::SplitImu;
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
-use sensors::ros::{MovesSideways, NotMeasured, WheelJoints, base_velocity, imu_sample};
-use sensors::{SplitImu, WheelReadings};
+use sensors::ros::{JointReader, MovesSideways, NotMeasured, base_velocity, imu_sample};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::JoinHandle;
@@ -29,7 +30,7 @@ const OFFER_LOOKS: usize = 5;
 const COMPRESSED: &str = "/compressed";
 
 /// The topics of a robot's sensors.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RosTopics {
     /// `sensor_msgs/Imu`, of both sensors or of the gyroscope.
     pub imu: String,
@@ -39,32 +40,6 @@ pub struct RosTopics {
     pub cameras: Vec<String>,
     /// The wheels, if they are used.
     pub wheels: Option<RosWheels>,
-}
-
-/// The topic of a robot's wheels.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum RosWheels {
-    /// `nav_msgs/Odometry`, of which the velocity is used.
-    Base(String),
-    /// `sensor_msgs/JointState`, and the joints of the wheels; without them those that are named so.
-    Joints(String, Option<WheelJoints>),
-}
-
-impl RosWheels {
-    /// The topic that the switches name: of speeds where they state radii or joints, else of velocities of the base.
-    fn of(arguments: &WheelArguments) -> Option<Self> {
-        let topic = arguments.wheel_topic.clone()?;
-        let joints = arguments.joints().map(WheelJoints::named);
-        let is_joints = joints.is_some() || !arguments.wheel_radius.is_empty();
-        Some(if is_joints { Self::Joints(topic, joints) } else { Self::Base(topic) })
-    }
-
-    fn readings(&self) -> WheelReadings {
-        match self {
-            Self::Base(_) => WheelReadings::BaseVelocities,
-            Self::Joints(..) => WheelReadings::Speeds,
-        }
-    }
 }
 
 impl RosTopics {
@@ -81,7 +56,7 @@ impl RosTopics {
         }
         let accelerometer =
             arguments.accelerometer_topic.clone().filter(|accelerometer| *accelerometer != imu);
-        let wheels = RosWheels::of(wheels);
+        let wheels = RosWheels::of(wheels)?;
         Ok(Self { imu, accelerometer, cameras, wheels })
     }
 
@@ -181,24 +156,25 @@ impl Sources<'_> {
     /// Hands in the readings of the wheels.
     async fn hand_in_wheels(&mut self, wheels: &RosWheels) -> Result<JoinHandle<()>, RosError> {
         match wheels {
-            RosWheels::Base(topic) => {
+            RosWheels::Base(topic, base) => {
                 let messages =
                     self.node.subscriber::<Odometry>(topic, Qos::sensor_data(), WHEEL_QUEUE).await?;
                 let source = self.source::<Odometry>(topic, Stream::Wheels)?;
-                Ok(hand_in(messages, source, |inputs, message| {
-                    inputs.wheels(base_velocity(&message)?);
+                let base = *base;
+                Ok(hand_in(messages, source, move |inputs, message| {
+                    inputs.wheels(base_velocity(&message, base)?);
                     Ok(())
                 }))
             }
-            RosWheels::Joints(topic, joints) => {
+            RosWheels::Joints(topic, RosJoints { base, joints, encoder }) => {
                 let messages =
                     self.node.subscriber::<JointState>(topic, Qos::sensor_data(), WHEEL_QUEUE).await?;
                 let source = self.source::<JointState>(topic, Stream::Wheels)?;
-                let joints = joints.clone();
+                let mut reader = JointReader::new(*base, joints.clone(), *encoder);
                 Ok(hand_in(messages, source, move |inputs, message: JointState| {
                     // Messages of other joints, of an arm, come on the same topic.
-                    let joints = joints.clone().or_else(|| WheelJoints::among(&message.name));
-                    if let Some(reading) = joints.and_then(|joints| joints.reading(&message)) {
+                    let stamp_ns = message.header.stamp.to_nanoseconds();
+                    if let Some(reading) = reader.reading(stamp_ns, &message) {
                         inputs.wheels(reading);
                     }
                     Ok(())
@@ -268,7 +244,7 @@ impl Source {
 fn hand_in<M: RosMessage + Send + 'static>(
     subscriber: Subscriber<M>,
     source: Source,
-    take: impl Fn(&LiveInputs, M) -> Result<(), Unusable> + Send + 'static,
+    mut take: impl FnMut(&LiveInputs, M) -> Result<(), Unusable> + Send + 'static,
 ) -> JoinHandle<()> {
     tokio::spawn(async move {
         let Source { inputs, stream, heard, .. } = &source;
@@ -318,7 +294,7 @@ mod tests {
     use ros_messages::builtin_interfaces::Time;
     use ros_messages::std_msgs::Header;
     use sensors::live::{FaultKind, LiveSource};
-    use sensors::{SensorEvent, SensorSource};
+    use sensors::{BaseKind, SensorEvent, SensorSource, WheelReadings};
     use simulation::{SimulationOptions, simulate};
     use std::time::{Duration, Instant};
 
@@ -450,9 +426,9 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
         let options = SimulationOptions { duration_s: Some(1.0), ..SimulationOptions::default() };
         let calibration = simulate(&options).unwrap().live.calibration().clone();
-        let joints = RosWheels::Joints("/wheels".into(), None);
+        let joints = RosWheels::Joints("/wheels".into(), RosJoints::default());
         for (wheels, kind) in [
-            (RosWheels::Base("/wheels".into()), WheelReadings::BaseVelocities),
+            (RosWheels::Base("/wheels".into(), BaseKind::Differential), WheelReadings::BaseVelocities),
             (joints, WheelReadings::Speeds),
         ] {
             let topics = RosTopics {
@@ -494,7 +470,7 @@ mod tests {
             }
             for (number, reading) in readings.iter().enumerate() {
                 assert_eq!(reading.stamp_ns, header(10 * number as i64).stamp.to_nanoseconds());
-                assert_eq!((reading.left, reading.right), (0.75, 1.25));
+                assert_eq!(reading.values[..2], [0.75, 1.25]);
             }
             drop(kept);
         }

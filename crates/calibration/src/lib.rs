@@ -5,6 +5,7 @@
 //! | `sensors` | [`SensorCalibration`]: [`ImuSensor`], [`CameraSensor`], [`WheelSensor`] and [`GnssSensor`] |
 //! | `imu_intrinsics` | [`ImuIntrinsics`]: scale, misalignment and g-sensitivity |
 //! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
+//! | [`wheel_yaml`] | `sensor.yaml` of the wheels |
 //! | [`numbers`] | numbers as text that reads back exactly |
 //! | [`kalibr`] | Kalibr's camera chain and `imu.yaml`, and what OpenVINS, ORB-SLAM3, Basalt and Kimera write |
 //!
@@ -19,6 +20,7 @@ pub mod kalibr;
 pub mod numbers;
 pub mod sensor_yaml;
 mod sensors;
+pub mod wheel_yaml;
 mod yaml;
 
 pub use error::CalibrationError;

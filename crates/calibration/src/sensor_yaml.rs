@@ -6,7 +6,7 @@
 use crate::yaml::{
     Lens, NoiseYaml, check_positive, checked_time_shift, parse, pose_from_matrix, read_text, readout_time,
 };
-use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, WheelSensor, kalibr};
+use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, kalibr};
 use geometry::camera::Camera;
 use geometry::{Geodetic, Pose, check_mount};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -40,17 +40,6 @@ struct MountYaml {
     line_delay: f64,
     #[serde(default)]
     timeshift_cam_imu: f64,
-}
-
-/// Geometry and noise of the wheels.
-#[derive(Deserialize)]
-struct WheelsYaml {
-    #[serde(rename = "T_BS")]
-    body_from_sensor: Matrix4Yaml,
-    radius_left: f64,
-    radius_right: f64,
-    track: f64,
-    noise: Option<f64>,
 }
 
 /// Antenna, frame and noise of GNSS.
@@ -125,31 +114,6 @@ pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
     let readout_s = readout_time(path, "line_delay", mount.line_delay, &camera)?;
     let time_shift_s = checked_time_shift(path, "timeshift_cam_imu", mount.timeshift_cam_imu)?;
     Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz, readout_s, time_shift_s })
-}
-
-/// Reads the `sensor.yaml` of the wheels: `radius_left`, `radius_right` and `track` (m), `T_BS`, the pose of the base in the
-/// body frame, and where it is known `noise`, that of a reading (rad/s).
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn read_wheels(path: &Path) -> Result<WheelSensor, CalibrationError> {
-    let yaml: WheelsYaml = parse(path, KIND, &read_text(path)?)?;
-    let positive = [
-        ("radius_left", yaml.radius_left),
-        ("radius_right", yaml.radius_right),
-        ("track", yaml.track),
-        ("noise", yaml.noise.unwrap_or(1.0)),
-    ];
-    for (name, value) in positive {
-        check_positive(path, name, value)?;
-    }
-    Ok(WheelSensor {
-        radius_left_m: yaml.radius_left,
-        radius_right_m: yaml.radius_right,
-        track_m: yaml.track,
-        imu_from_base: pose_from_matrix(path, "T_BS", &yaml.body_from_sensor.data)?,
-        sigma_speed_rad_s: yaml.noise,
-    })
 }
 
 /// Reads the `sensor.yaml` of GNSS: `antenna` in the IMU's frame (m), and where they are known `origin`, latitude and longitude (deg) and

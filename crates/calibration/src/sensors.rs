@@ -5,7 +5,7 @@ use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::{CameraGroup, Geodetic};
 use nalgebra::Vector3;
-use types::ImuNoise;
+use types::{BaseKind, Encoder, ImuNoise, WheelBase};
 
 /// The inertial sensor. Its frame is the body frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,32 +80,37 @@ pub fn camera_groups(cameras: &[CameraSensor]) -> Vec<CameraGroup> {
     geometry::camera_groups(cameras.iter().map(|sensor| (&sensor.camera, &sensor.imu_from_camera)))
 }
 
-/// The wheels of a differential drive: two driven wheels on one axis.
-///
-/// The base frame has its origin between the wheels on the floor, x forward, y left, z up.
+/// The wheels of a base.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelSensor {
-    /// Radius of the left wheel, metres.
-    pub radius_left_m: f64,
-    /// Radius of the right wheel, metres.
-    pub radius_right_m: f64,
-    /// Distance between the wheels, metres.
-    pub track_m: f64,
+    /// What the base is, and its geometry.
+    pub base: WheelBase,
     /// Pose of the base in the IMU frame.
     pub imu_from_base: Pose,
     /// White noise of a reading, rad/s, where the calibration states it.
     pub sigma_speed_rad_s: Option<f64>,
+    /// Error of an angle, rad, where the calibration states it: the steps of encoders.
+    pub sigma_angle_rad: Option<f64>,
+    /// The encoders, where counts are recorded in place of speeds.
+    pub encoder: Option<Encoder>,
 }
 
 impl WheelSensor {
+    /// Wheels whose speeds are recorded, with a noise that is not known.
+    pub fn new(base: WheelBase, imu_from_base: Pose) -> Self {
+        Self { base, imu_from_base, sigma_speed_rad_s: None, sigma_angle_rad: None, encoder: None }
+    }
+
     /// White noise of a velocity of [`Self::of_base_velocity`], m/s.
     const SIGMA_VELOCITY_M_S: f64 = 0.005;
 
-    /// Wheels that stand for a base whose velocity is measured, ahead (m/s) and about its z axis (rad/s): of 1 m radius, and 1 m apart.
-    /// An error of the radii is one of the measured scale, one of the track is one of the measured turns.
-    pub fn of_base_velocity(imu_from_base: Pose) -> Self {
+    /// Wheels that stand for a base whose velocity is measured, ahead, to the left (m/s) and about its z axis (rad/s), as
+    /// [`WheelReading::of_base_velocity`](types::WheelReading::of_base_velocity) has them: of 1 m radius, and 1 m apart. An error of the radii is
+    /// one of the measured scale, one of the track (or reach) is one of the measured turns.
+    pub fn of_base_velocity(kind: BaseKind, imu_from_base: Pose) -> Self {
+        let stands_for = if kind.moves_sideways() { BaseKind::Mecanum } else { BaseKind::Differential };
         let sigma_speed_rad_s = Some(Self::SIGMA_VELOCITY_M_S);
-        Self { radius_left_m: 1.0, radius_right_m: 1.0, track_m: 1.0, imu_from_base, sigma_speed_rad_s }
+        Self { sigma_speed_rad_s, ..Self::new(WheelBase::new(stands_for, 1.0, 1.0), imu_from_base) }
     }
 }
 

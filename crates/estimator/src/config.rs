@@ -168,7 +168,7 @@ pub struct EstimatorConfig {
     /// Readout time of each camera's rolling shutter instead of that of its calibration, seconds: one for all cameras, or one by
     /// camera; empty for those of the calibration.
     pub readout_times_s: Vec<f64>,
-    /// The wheels of a differential drive; without it their readings are ignored.
+    /// The wheels; without it their readings are ignored.
     pub wheels: Option<WheelConfig>,
     /// The antenna of GNSS; without it its positions are ignored.
     pub gnss: Option<GnssConfig>,

@@ -95,7 +95,9 @@ pub use motion::{Motion, MotionPredictor};
 pub use noise_adaptation::{LearnedNoise, NoiseBound, NoiseFault};
 pub use odometry::msckf_update::TrackReport;
 pub use state::CloneId;
-pub use types::{GnssReading, ImuNoise, ImuSample, KeyframeId, TrackObservation, WheelReading};
+pub use types::{
+    BaseKind, GnssReading, ImuNoise, ImuSample, KeyframeId, TrackObservation, WheelBase, WheelReading,
+};
 pub use wheels::config::{InitialWheelSigmas, WheelConfig, WheelNoise};
 pub use wheels::report::{Estimated, LearnedWheels, WheelCounts, WheelReport};
 pub use wheels::watch::{Wheel, WheelFault};

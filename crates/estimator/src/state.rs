@@ -1,10 +1,10 @@
-//! The active state `[IMU (15) | calibration | wheels (10) | global_from_local (6) | SLAM features (3 each) | clones (6 each)]` and the
+//! The active state `[IMU (15) | calibration | wheels (10 to 12) | global_from_local (6) | SLAM features (3 each) | clones (6 each)]` and the
 //! layout of its error. The calibration block is empty unless some of it is estimated online, that of the wheels without wheels.
 
 use crate::calibration::Calibration;
 use crate::propagation::{IMU_DIM, ImuState, MotionEstimate};
 use crate::rolling_shutter::motion_around::MotionAround;
-use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
+use crate::wheels::calibration::WheelCalibration;
 use geometry::Pose;
 use nalgebra::{DVector, Matrix6, Vector3, Vector6};
 use std::ops::Range;
@@ -126,7 +126,7 @@ impl ActiveState {
 
     /// First index of `global_from_local` in the active error, also where it is not yet in the state.
     pub fn transform_begin(&self) -> usize {
-        self.wheels_begin() + if self.wheels.is_some() { WHEELS_DIM } else { 0 }
+        self.wheels_begin() + self.wheels.as_ref().map_or(0, WheelCalibration::dim)
     }
 
     fn wheels_begin(&self) -> usize {
@@ -154,7 +154,8 @@ impl ActiveState {
         let (transform_begin, slam_features_begin) = (self.transform_begin(), self.slam_features_begin());
         self.calibration.retract(&error.rows(IMU_DIM, self.calibration.dim()));
         if let Some(wheels) = &mut self.wheels {
-            wheels.retract(&error.rows(transform_begin - WHEELS_DIM, WHEELS_DIM));
+            let dim = wheels.dim();
+            wheels.retract(&error.rows(transform_begin - dim, dim));
         }
         if let Some(transform) = &mut self.transform {
             *transform = retract_locally(transform, &pose_error(transform_begin));

@@ -85,10 +85,10 @@ pub fn gnss_config(gnss: &GnssSensor) -> GnssConfig {
 
 /// The default settings of wheels with their geometry and noise.
 pub fn wheel_config(wheels: &WheelSensor) -> WheelConfig {
-    let mut config = WheelConfig::new(wheels.radius_left_m, wheels.track_m);
-    config.radius_right_m = wheels.radius_right_m;
+    let mut config = WheelConfig::new(wheels.base);
     config.base_position_m = wheels.imu_from_base.translation.into();
     config.base_rotation_rad = rotation::log(&wheels.imu_from_base.rotation).into();
     config.noise.sigma_speed_rad_s = wheels.sigma_speed_rad_s.unwrap_or(config.noise.sigma_speed_rad_s);
+    config.noise.sigma_angle_rad = wheels.sigma_angle_rad.unwrap_or(config.noise.sigma_angle_rad);
     config
 }

@@ -5,6 +5,7 @@ use crate::{ImuUnits, SequenceError};
 use calibration::kalibr::{is_camera_chain, is_imu, is_kimera_left, is_rig};
 use geometry::Geodetic;
 use std::path::{Path, PathBuf};
+use types::{BaseKind, Encoder};
 
 /// Larger YAML files are no calibrations, bytes.
 const MAX_BYTES: u64 = 1 << 20;
@@ -40,8 +41,12 @@ pub struct CalibrationFiles {
     pub gnss_topic: Option<String>,
     /// Origin of the frame that its positions are turned to.
     pub gnss_origin: Option<Geodetic>,
-    /// The joints of the left and of the right wheel in `sensor_msgs/JointState`; without them those that are named so.
-    pub wheel_joints: Option<[String; 2]>,
+    /// The joints of the wheels in `sensor_msgs/JointState`, in the order of [`BaseKind::columns`]; without them those that are named so.
+    pub wheel_joints: Vec<String>,
+    /// What the base is; without it as a folder's `sensor.yaml` says, else a differential drive.
+    pub wheel_base: Option<BaseKind>,
+    /// The encoders of the wheels, where the recording has counts of them and does not say so.
+    pub wheel_encoder: Option<Encoder>,
     /// The topics of camera 0 and camera 1 in a bag; without them those of their type, in order of their names.
     pub camera_topics: Vec<String>,
     /// Largest difference between the stamps of the images of a stereo pair, nanoseconds; without it

@@ -93,6 +93,7 @@ mod stereo_check;
 mod stored;
 mod table;
 mod truth;
+mod wheel_intake;
 mod written_lines;
 
 #[cfg(test)]
@@ -128,5 +129,9 @@ pub use stereo_check::check_stereo;
 pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, ReferencePosition, TruthRow, TruthTrack};
-pub use types::{GnssReading, ImuNoise, ImuSample, TrackObservation, WheelReading};
+pub use types::{
+    BaseKind, Encoder, EncoderCounts, EncoderError, GnssReading, ImuNoise, ImuSample, MAX_WHEELS,
+    TrackObservation, WheelBase, WheelReading,
+};
+pub use wheel_intake::{WheelIntake, WheelProblem};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

@@ -1,4 +1,4 @@
-//! A drive of a differential drive on a flat floor.
+//! Drives of a robot on wheels on a flat floor.
 
 use evaluation::trajectory::StampedPose;
 use geometry::Pose;
@@ -14,6 +14,8 @@ const REST_S: f64 = 2.5;
 const SPEED_UP_S: f64 = 2.0;
 /// The first part is straight, seconds after the start.
 const STRAIGHT_S: f64 = 12.0;
+/// How fast a base that moves sideways changes the side, rad/s.
+const SWAY_RAD_S: f64 = 0.4;
 /// Duration of a turn, and of a turn with the straight part behind it, seconds.
 const TURN_S: f64 = 4.0;
 const LEG_S: f64 = 9.0;
@@ -25,6 +27,18 @@ const LEG_S: f64 = 9.0;
 /// * `speed`: m/s.
 /// * `imu_from_base`: where the base is.
 pub fn planar_drive(seconds: f64, speed: f64, imu_from_base: &Pose) -> Vec<StampedPose> {
+    drive(seconds, [speed, 0.0], imu_from_base)
+}
+
+/// The same with a base that also moves sideways, now to the left, now to the right.
+///
+/// # Arguments
+/// * `speeds`: ahead, and most to a side, m/s.
+pub fn sideways_drive(seconds: f64, speeds: [f64; 2], imu_from_base: &Pose) -> Vec<StampedPose> {
+    drive(seconds, speeds, imu_from_base)
+}
+
+fn drive(seconds: f64, [speed, to_side]: [f64; 2], imu_from_base: &Pose) -> Vec<StampedPose> {
     let base_from_imu = imu_from_base.inverse();
     let (mut x, mut y, mut yaw, mut time) = (0.0, 0.0, 0.0_f64, 0.0);
     let count = (seconds / STEP_S).ceil() as i64;
@@ -38,8 +52,9 @@ pub fn planar_drive(seconds: f64, speed: f64, imu_from_base: &Pose) -> Vec<Stamp
             let dt = STEP_S / SUBSTEPS as f64;
             let (forward, turn) = pace(time + dt / 2.0);
             let heading = yaw + turn * dt / 2.0;
-            x += speed * forward * heading.cos() * dt;
-            y += speed * forward * heading.sin() * dt;
+            let left = to_side * sideways(time + dt / 2.0);
+            x += (speed * forward * heading.cos() - left * heading.sin()) * dt;
+            y += (speed * forward * heading.sin() + left * heading.cos()) * dt;
             yaw += turn * dt;
             time += dt;
         }
@@ -60,6 +75,13 @@ fn pace(time: f64) -> (f64, f64) {
     let side = if leg % 3 == 2 { -1.0 } else { 1.0 };
     let bend = if within < TURN_S { (std::f64::consts::PI * within / TURN_S).sin().powi(2) } else { 0.0 };
     (forward, side * 0.75 * bend)
+}
+
+/// Fraction of the speed to the left at a time.
+fn sideways(time: f64) -> f64 {
+    let driving = (time - REST_S).max(0.0);
+    let up = (driving / SPEED_UP_S).min(1.0);
+    up * up * (3.0 - 2.0 * up) * (SWAY_RAD_S * driving).sin()
 }
 
 #[cfg(test)]

@@ -2,8 +2,9 @@
 //! wheels against without.
 
 use crate::{Tracks, rms_error_m};
-use estimator::{Estimated, EstimatorConfig, MapMode, WheelConfig, WheelReport};
-use simulation::drive::planar_drive;
+use estimator::{BaseKind, Estimated, EstimatorConfig, MapMode, WheelBase, WheelConfig, WheelReport};
+use sensors::Encoder;
+use simulation::drive::sideways_drive;
 use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{MonteCarloOptions, Slip, Variant, VariantRuns, WheelOptions, run};
 use simulation::{Scenario, SimulationOptions};
@@ -13,11 +14,17 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Seeds of every run, and of the nightly one.
 const RUNS: usize = 4;
 const ALL_RUNS: usize = 20;
+/// Fastest motion to a side of a base that can: a robot in a hall mostly drives ahead.
+const SIDEWAYS_M_S: f64 = 0.3;
 /// Of these, those in which wheels must not be worse.
 const MOST_RUNS: usize = 19;
 
 fn stated() -> WheelConfig {
-    let mut stated = WheelConfig::new(0.10, 0.50);
+    stated_of(BaseKind::Differential)
+}
+
+fn stated_of(kind: BaseKind) -> WheelConfig {
+    let mut stated = WheelConfig::new(WheelBase::new(kind, 0.10, 0.50));
     stated.base_position_m = [-0.1, 0.0, -0.2];
     stated
 }
@@ -75,7 +82,9 @@ fn seed(
     wheels: &WheelOptions,
     variants: &[Variant],
 ) -> Vec<VariantRuns> {
-    let drive = planar_drive(seconds + 6.0, 1.2, &wheels.truth(seed).imu_from_base());
+    let imu_from_base = wheels.truth(seed).imu_from_base();
+    let to_side = if wheels.stated.base.kind().moves_sideways() { SIDEWAYS_M_S } else { 0.0 };
+    let drive = sideways_drive(seconds + 6.0, [1.2, to_side], &imu_from_base);
     let options = MonteCarloOptions {
         runs: 1,
         first_seed: seed,
@@ -115,20 +124,33 @@ fn odometry_with_wheels_is_consistent_and_better_with_all_seeds() {
 fn nearly_every_long_drive_is_better() {
     let (without, with) = compared(ALL_RUNS, 90.0, Tracks::Few);
     is_better(&without, &with);
+    nearly_all_are_better(&without, &with);
+}
+
+fn nearly_all_are_better(without: &VariantRuns, with: &VariantRuns) {
     let pairs = without.trials.iter().zip(&with.trials);
     let better = pairs.filter(|(without, with)| rms_error_m(with) <= rms_error_m(without)).count();
+    println!("better in {better} of {}", with.trials.len());
     assert!(better >= MOST_RUNS, "better in {better} of {ALL_RUNS}");
 }
 
 /// All seeds without and with wheels.
 fn compared(count: usize, seconds: f64, tracks: Tracks) -> (VariantRuns, VariantRuns) {
-    let wheels = WheelOptions::new(stated());
+    compared_with(count, seconds, tracks, &WheelOptions::new(stated()))
+}
+
+fn compared_with(
+    count: usize,
+    seconds: f64,
+    tracks: Tracks,
+    wheels: &WheelOptions,
+) -> (VariantRuns, VariantRuns) {
     let variants = [odometry("mono", None), odometry("mono with wheels", Some(wheels.stated))];
-    let all = runs(count, seconds, tracks, &wheels, &variants);
+    let all = runs(count, seconds, tracks, wheels, &variants);
     let Ok([without, with]) = <[VariantRuns; 2]>::try_from(all) else { panic!("two variants") };
     for (one, other) in without.trials.iter().zip(&with.trials) {
         println!("seed {}: {:.3} m without, {:.3} m with", other.seed, rms_error_m(one), rms_error_m(other));
-        calibration_is_found(&other.wheels.unwrap(), &wheels.truth(other.seed));
+        calibration_is_found(other.wheels.as_ref().unwrap(), &wheels.truth(other.seed));
     }
     (without, with)
 }
@@ -146,20 +168,55 @@ fn is_better(without: &VariantRuns, with: &VariantRuns) {
     assert!(with.rmse_m < 0.8 * without.rmse_m, "{} m for {} m", with.rmse_m, without.rmse_m);
 }
 
-/// Radii and track are within three of their standard deviations, and these are smaller than at first.
+/// Radii, track, wheelbase, reach and the offset of a steering are within three and a half of their standard deviations, and these are smaller than at
+/// first.
 fn calibration_is_found(found: &WheelReport, truth: &WheelConfig) {
-    let initial = truth.initial;
-    for (name, Estimated { value, sigma }, truth, first) in [
-        ("left radius", found.radius_left_m, truth.radius_left_m, 0.1 * initial.sigma_radius_fraction),
-        ("right radius", found.radius_right_m, truth.radius_right_m, 0.1 * initial.sigma_radius_fraction),
-        ("track", found.track_m, truth.track_m, 0.5 * initial.sigma_track_fraction),
-    ] {
+    let parameters = truth.base.parameter_names().iter().zip(truth.base.parameters());
+    for ((name, truth), first) in parameters.zip(truth.parameter_sigmas()) {
+        let Estimated { value, sigma } = found.geometry[name];
         println!(
-            "    {name}: {value:.5} m, truth {truth:.5} m, {:+.1} sigma of {sigma:.5}",
+            "    {name}: {value:.5}, truth {truth:.5}, {:+.1} sigma of {sigma:.5}",
             (value - truth) / sigma
         );
-        assert!((value - truth).abs() < 3.0 * sigma, "{name}");
-        assert!(sigma < first, "{name}: {sigma} of {first}");
+        assert!((value - truth).abs() < 3.5 * sigma, "{name}");
+        assert!(sigma < 0.8 * first, "{name}: {sigma} of {first}");
+    }
+}
+
+/// The other bases, and encoders of few steps.
+fn others() -> [(&'static str, WheelOptions); 5] {
+    let of = |kind| WheelOptions::new(stated_of(kind));
+    let mut ticks = of(BaseKind::Differential);
+    let encoder = Encoder::new(512.0, 16).unwrap();
+    ticks.encoder = Some(encoder);
+    ticks.stated.noise.sigma_angle_rad = encoder.sigma_angle_rad();
+    [
+        ("ticks", ticks),
+        ("ackermann", of(BaseKind::Ackermann)),
+        ("mecanum", of(BaseKind::Mecanum)),
+        ("omni3", of(BaseKind::Omni3)),
+        ("omni4", of(BaseKind::Omni4)),
+    ]
+}
+
+#[test]
+fn other_bases_find_their_calibration() {
+    // Omni wheels differ from mecanum wheels by their table only.
+    for (name, wheels) in others().into_iter().take(3) {
+        println!("{name}:");
+        let (without, with) = compared_with(1, 30.0, Tracks::Few, &wheels);
+        assert!(without.trials.iter().chain(&with.trials).all(|trial| trial.diverged.is_none()));
+    }
+}
+
+#[test]
+#[ignore = "all seeds of five bases, minutes"]
+fn nearly_every_long_drive_of_other_bases_is_better() {
+    for (name, wheels) in others() {
+        println!("{name}:");
+        let (without, with) = compared_with(ALL_RUNS, 90.0, Tracks::Few, &wheels);
+        is_better(&without, &with);
+        nearly_all_are_better(&without, &with);
     }
 }
 
@@ -167,12 +224,12 @@ fn calibration_is_found(found: &WheelReport, truth: &WheelConfig) {
 #[test]
 fn slip_is_gated() {
     let mut wheels = WheelOptions::new(stated());
-    let slip = |from_s: f64| Slip { from_s, to_s: from_s + 0.5, factors: [1.25, 1.25] };
+    let slip = |from_s: f64| Slip { from_s, to_s: from_s + 0.5, factors: [1.25; 4] };
     let clean = runs(3, 30.0, Tracks::Few, &wheels, &[odometry("clean", Some(stated()))]);
     wheels.slips = vec![slip(11.5), slip(19.5)];
     let slipping = runs(3, 30.0, Tracks::Few, &wheels, &[odometry("slip", Some(stated()))]);
     for (clean, slipping) in clean[0].trials.iter().zip(&slipping[0].trials) {
-        let counts = slipping.wheels.unwrap().counts;
+        let counts = slipping.wheels.as_ref().unwrap().counts;
         println!("{:.3} m, with slip {:.3} m: {counts:?}", rms_error_m(clean), rms_error_m(slipping));
         assert!(counts.slipped >= 8, "two times five intervals: {counts:?}");
         assert_eq!(slipping.wheels_left_out_s, None);
@@ -185,7 +242,7 @@ fn slip_is_gated() {
 fn nonsense_is_left_out_within_a_second() {
     let mut wheels = WheelOptions::new(stated());
     let begin_s = 12.0;
-    wheels.slips = vec![Slip { from_s: begin_s, to_s: 1e9, factors: [0.0, 1.0] }];
+    wheels.slips = vec![Slip { from_s: begin_s, to_s: 1e9, factors: [0.0, 1.0, 1.0, 1.0] }];
     let variants = [odometry("without", None), odometry("nonsense", Some(stated()))];
     let all = runs(3, 30.0, Tracks::Few, &wheels, &variants);
     for (without, trial) in all[0].trials.iter().zip(&all[1].trials) {

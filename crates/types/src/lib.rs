@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `ids` | [`KeyframeId`], [`LandmarkId`] |
 //! | `imu` | [`ImuSample`], [`ImuNoise`] |
-//! | `wheels` | [`WheelReading`] |
+//! | `wheels` | [`WheelBase`], [`WheelReading`], and [`EncoderCounts`], which makes readings of encoders |
 //! | `gnss` | [`GnssReading`] |
 //! | `track` | [`TrackObservation`], a feature that a front end follows |
 //! | [`descriptors`] | [`DescriptorKind`], [`DescriptorFormat`], [`Descriptors`] |
@@ -12,6 +12,8 @@
 //! | [`bounded`] | lists that are refused at the first element too many |
 //!
 //! Times are nanoseconds. Pixels are distorted, as measured; (0, 0) is the centre of the top-left pixel.
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod bounded;
 pub mod descriptors;
@@ -28,4 +30,6 @@ pub use gnss::GnssReading;
 pub use ids::{KeyframeId, LandmarkId};
 pub use imu::{ImuNoise, ImuSample};
 pub use track::TrackObservation;
-pub use wheels::WheelReading;
+pub use wheels::{
+    BaseKind, Encoder, EncoderCounts, EncoderError, MAX_WHEEL_PARAMETERS, MAX_WHEELS, WheelBase, WheelReading,
+};

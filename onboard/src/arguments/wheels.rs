@@ -1,19 +1,28 @@
 //! Switches of the wheels.
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
-use estimator::WheelConfig;
+use estimator::{WheelBase, WheelConfig};
 use geometry::Pose;
 use robot::wheel_config;
-use sensors::{CalibrationFiles, Contents, WheelReadings, WheelSensor};
+use sensors::{BaseKind, CalibrationFiles, Contents, Encoder, WheelReadings, WheelSensor};
 
 /// Heading of these switches in `--help`.
 const HEADING: &str = "Wheels";
 
-/// Geometry of the wheels of a differential drive.
+/// Bits of a counter whose width is not stated.
+const COUNTER_BITS: u32 = 32;
+
+/// What the base is, and the geometry of its wheels.
 #[derive(Args, Clone, Debug, Default)]
 pub struct WheelArguments {
-    /// Topic of the wheels: sensor_msgs/JointState with their speeds, or nav_msgs/Odometry, of which the velocity is used: in a bag, or
+    /// What the base is [default: that of wheels0/sensor.yaml, else differential]
+    ///
+    /// differential: two driven wheels on one axis. ackermann: a car. mecanum: four wheels with rollers. omni3, omni4: omni wheels around the
+    /// base, the first one on its x axis. For nav_msgs/Odometry the last three say that the base moves sideways.
+    #[arg(long, value_name = "KIND", value_parser = base_kind, help_heading = HEADING)]
+    pub wheel_base: Option<BaseKind>,
+    /// Topic of the wheels: sensor_msgs/JointState with their speeds or positions, or nav_msgs/Odometry, of which the velocity is used: in a bag, or
     /// with --source ros2 [default: none]
     ///
     /// With --source ros2 it is of sensor_msgs/JointState where --wheel-radius or --wheel-joints is given.
@@ -21,28 +30,34 @@ pub struct WheelArguments {
     /// improved. Its scale and turns are estimated, from 2 %.
     #[arg(long, value_name = "TOPIC", help_heading = HEADING)]
     pub wheel_topic: Option<String>,
-    /// Joints of the left and the right wheel in sensor_msgs/JointState [default: those named wheel, and left or right; several of
-    /// a side count by their mean]
-    #[arg(long, value_name = "LEFT,RIGHT", value_delimiter = ',', num_args = 2, requires = "wheel_topic", help_heading = HEADING)]
+    /// Joints of the wheels in sensor_msgs/JointState, as the base has them: LEFT,RIGHT; DRIVE,STEERING; FRONT_LEFT,FRONT_RIGHT,REAR_LEFT,REAR_RIGHT;
+    /// omni wheels counterclockwise [default: those named wheel, and left or right, front or rear, steer; several of a side count by
+    /// their mean]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "wheel_topic", help_heading = HEADING)]
     pub wheel_joints: Vec<String>,
-    /// Radius of the wheels, metres; two of them separated by a comma are the left and the right one [default: that of
+    /// Counts of an encoder in a revolution of its wheel, and the bits of its counter, where counts come in place of speeds [default: as
+    /// wheels0/sensor.yaml says; 32 bits]
+    #[arg(long, value_name = "N[,BITS]", value_delimiter = ',', help_heading = HEADING)]
+    pub wheel_counts: Vec<f64>,
+    /// Radius of the wheels, metres; several separated by commas are those of the wheels in their order [default: that of
     /// wheels0/sensor.yaml]
     ///
     /// With --wheel-track it makes the speeds in mav0/wheels0/data.csv (stamp, left, right; ns, rad/s) odometry: one camera
     /// that drives straight knows its scale, and a slip is left out. Radii, track, the pose of the base and the time offset
     /// are estimated during the run, from 2 %, 2 %, 1 degree, 2 cm and 5 ms; the result is in summary.json. Noise and these
     /// standard deviations are in the settings file, under wheels.
-    #[arg(long, value_name = "M[,M]", value_delimiter = ',', requires = "wheel_track", help_heading = HEADING)]
+    #[arg(long, value_name = "M[,M..]", value_delimiter = ',', requires = "wheel_track", help_heading = HEADING)]
     pub wheel_radius: Vec<f64>,
-    /// Distance between the wheels, metres
+    /// Distance between the wheels, metres; of an ackermann base that between its axles, of mecanum wheels half of that between the axles and
+    /// half of that between the sides together, of omni wheels that from the middle
     #[arg(long, value_name = "M", requires = "wheel_radius", help_heading = HEADING)]
     pub wheel_track: Option<f64>,
-    /// Where the point between the wheels on the floor is in the frame of the IMU, metres; the base looks along x of the IMU
+    /// Where the middle of the wheels (of an ackermann base, of the axle that does not steer) on the floor is in the frame of the IMU, metres; the base looks along x of the IMU
     /// [default: 0,0,0]
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true, help_heading = HEADING)]
     pub base_in_imu: Vec<f64>,
     /// Do not use the wheels
-    #[arg(long, conflicts_with_all = ["wheel_radius", "base_in_imu"], help_heading = HEADING)]
+    #[arg(long, conflicts_with_all = ["wheel_base", "wheel_counts", "wheel_radius", "base_in_imu"], help_heading = HEADING)]
     pub no_wheels: bool,
 }
 
@@ -89,20 +104,43 @@ impl WheelArguments {
             "--wheel-radius: the topic has velocities of the base (nav_msgs/Odometry), which need no radius: leave it and --wheel-track out"
         );
         let Some(position_m) = self.base_position()? else { return Ok(settled) };
+        let kind = self.wheel_base.unwrap_or_default();
         let stated =
-            settled.unwrap_or_else(|| wheel_config(&WheelSensor::of_base_velocity(Pose::identity())));
+            settled.unwrap_or_else(|| wheel_config(&WheelSensor::of_base_velocity(kind, Pose::identity())));
         Ok(Some(with_base_at(stated, position_m)))
     }
 
-    /// Names the topic and the joints of the wheels in a recording.
-    pub fn name_topic(&self, files: &mut CalibrationFiles) {
+    /// Names the topic and the joints of the wheels in a recording, the base and its encoders.
+    ///
+    /// # Errors
+    /// Joints or counts that are none of such a base.
+    pub fn name_topic(&self, files: &mut CalibrationFiles) -> Result<()> {
+        let joints = self.wheel_joints.len();
+        let kind = self.wheel_base.unwrap_or_default();
+        ensure!(
+            joints == 0 || joints == kind.columns().len(),
+            "--wheel-joints names {joints} joints, but a {kind} base has {}: {}",
+            kind.columns().len(),
+            kind.columns().join(", ")
+        );
         files.wheel_topic.clone_from(&self.wheel_topic);
-        files.wheel_joints = self.joints();
+        files.wheel_joints.clone_from(&self.wheel_joints);
+        files.wheel_base = self.wheel_base;
+        files.wheel_encoder = self.encoder()?;
+        Ok(())
     }
 
-    /// The joints of the left and the right wheel.
-    pub fn joints(&self) -> Option<[String; 2]> {
-        self.wheel_joints.clone().try_into().ok()
+    /// The encoders that the switches state.
+    ///
+    /// # Errors
+    /// They cannot be those of an encoder.
+    pub fn encoder(&self) -> Result<Option<Encoder>> {
+        let (counts, bits) = match *self.wheel_counts.as_slice() {
+            [] => return Ok(None),
+            [counts] => (counts, f64::from(COUNTER_BITS)),
+            [counts, bits, ..] => (counts, bits),
+        };
+        Encoder::new(counts, bits as u32).map(Some).context("--wheel-counts")
     }
 
     /// `--base-in-imu`.
@@ -116,24 +154,43 @@ impl WheelArguments {
 
     /// What the switches state, on top of the settings.
     fn given(&self, settled: Option<WheelConfig>) -> Result<Option<WheelConfig>> {
-        ensure!(self.wheel_radius.len() <= 2, "--wheel-radius takes one number, or two separated by a comma");
-        let wheels = match (self.wheel_radius.as_slice(), self.wheel_track, settled) {
-            ([left, rest @ ..], Some(track), settled) => {
-                let mut wheels = settled.unwrap_or_else(|| WheelConfig::new(*left, track));
-                (wheels.radius_left_m, wheels.radius_right_m) =
-                    (*left, rest.first().copied().unwrap_or(*left));
-                wheels.track_m = track;
+        let stated = settled.map(|settled| settled.base.kind());
+        let kind = self.wheel_base.or(stated).unwrap_or_default();
+        let mut wheels = match (self.wheel_radius.as_slice(), self.wheel_track, settled) {
+            (radii @ [first, ..], Some(track), settled) => {
+                let mut base = WheelBase::new(kind, *first, track);
+                let count = kind.wheels();
+                ensure!(
+                    base.set_radii_m(radii),
+                    "--wheel-radius takes one number, or {count} of a {kind} base"
+                );
+                let mut wheels = settled.unwrap_or_else(|| WheelConfig::new(base));
+                wheels.base = base;
                 wheels
             }
-            (_, _, Some(settled)) => settled,
+            (_, _, Some(settled)) if settled.base.kind() == kind => settled,
+            (_, _, Some(_)) => {
+                bail!(
+                    "--wheel-base {kind} needs --wheel-radius and --wheel-track: the settings are those of another base"
+                )
+            }
             _ if self.base_in_imu.is_empty() => return Ok(None),
             _ => bail!("--base-in-imu needs --wheel-radius and --wheel-track, or wheels0/sensor.yaml"),
         };
+        if let Some(encoder) = self.encoder()? {
+            wheels.noise.sigma_angle_rad = encoder.sigma_angle_rad();
+        }
         Ok(Some(match self.base_position()? {
             Some(position_m) => with_base_at(wheels, position_m),
             None => wheels,
         }))
     }
+}
+
+/// A kind of base by its name.
+fn base_kind(name: &str) -> Result<BaseKind, String> {
+    let names = || BaseKind::ALL.map(BaseKind::name).join(", ");
+    BaseKind::named(name).ok_or_else(|| format!("it is one of {}", names()))
 }
 
 fn with_base_at(mut wheels: WheelConfig, position_m: [f64; 3]) -> WheelConfig {
@@ -160,7 +217,7 @@ mod tests {
     #[test]
     fn a_switch_overrides_the_calibration_and_wheels_need_readings() {
         let with = Contents { wheels: Some(WheelReadings::Speeds), ..Contents::default() };
-        let mut stated = WheelConfig::new(0.2, 0.6);
+        let mut stated = WheelConfig::new(WheelBase::new(BaseKind::Differential, 0.2, 0.6));
         stated.noise.sigma_speed_rad_s = 0.1;
         assert_eq!(given("").wheels(Some(stated), with).unwrap(), Some(stated));
         assert_eq!(given("").wheels(Some(stated), Contents::default()).unwrap(), None);
@@ -168,7 +225,7 @@ mod tests {
         assert_eq!(given("").wheels(None, with).unwrap(), None, "the geometry is not known");
         let line = "--wheel-radius 0.1,0.11 --wheel-track 0.5 --base-in-imu -0.1,0,-0.2";
         let switched = given(line).wheels(Some(stated), with).unwrap().unwrap();
-        assert_eq!((switched.radius_left_m, switched.radius_right_m, switched.track_m), (0.1, 0.11, 0.5));
+        assert_eq!(switched.base.parameters(), [0.1, 0.11, 0.5]);
         assert_eq!((switched.base_position_m, switched.noise), ([-0.1, 0.0, -0.2], stated.noise));
         assert!(given(line).wheels(None, Contents::default()).unwrap_err().to_string().contains("wheels0"));
         assert!(given("--base-in-imu 1,2,3").wheels(None, with).is_err());
@@ -177,11 +234,34 @@ mod tests {
     }
 
     #[test]
+    fn other_bases_and_encoders_are_named() {
+        let with = Contents { wheels: Some(WheelReadings::Speeds), ..Contents::default() };
+        let line = "--wheel-base ackermann --wheel-radius 0.3 --wheel-track 2.6 --wheel-counts 4096,16";
+        let car = given(line).wheels(None, with).unwrap().unwrap();
+        assert_eq!(car.base, WheelBase::new(BaseKind::Ackermann, 0.3, 2.6));
+        assert!((car.noise.sigma_angle_rad - 4.43e-4).abs() < 1e-6);
+        let mut files = CalibrationFiles::default();
+        given(line).name_topic(&mut files).unwrap();
+        assert_eq!(files.wheel_encoder, Some(Encoder::new(4096.0, 16).unwrap()));
+        let stated = Some(WheelConfig::new(WheelBase::new(BaseKind::Differential, 0.2, 0.6)));
+        assert!(given("--wheel-base mecanum").wheels(stated, with).is_err());
+        let radii = "--wheel-base mecanum --wheel-radius 0.1,0.2,0.3 --wheel-track 0.4";
+        let error = given(radii).wheels(None, with).unwrap_err().to_string();
+        assert!(error.contains("or 4 of a mecanum base"), "{error}");
+        let joints = "--wheel-topic /joints --wheel-joints a,b --wheel-base mecanum";
+        assert!(given(joints).name_topic(&mut files).is_err());
+        assert!(given("--wheel-counts 0").name_topic(&mut files).is_err());
+        assert!(Line::try_parse_from(["robot", "--wheel-base", "tracked"]).is_err());
+    }
+
+    #[test]
     fn velocities_of_a_base_need_its_pose_and_no_radius() {
         let velocities = Contents { wheels: Some(WheelReadings::BaseVelocities), ..Contents::default() };
         assert_eq!(given("").wheels(None, velocities).unwrap(), None);
         let placed = given("--base-in-imu -0.1,0,-0.2").wheels(None, velocities).unwrap().unwrap();
-        assert_eq!((placed.radius_left_m, placed.track_m), (1.0, 1.0));
+        assert_eq!(placed.base, WheelBase::new(BaseKind::Differential, 1.0, 1.0));
+        let sideways = given("--wheel-base omni3 --base-in-imu 0,0,0").wheels(None, velocities).unwrap();
+        assert_eq!(sideways.unwrap().base, WheelBase::new(BaseKind::Mecanum, 1.0, 1.0));
         assert_eq!(placed.imu_from_base().translation, Vector3::new(-0.1, 0.0, -0.2));
         assert_eq!(given("").wheels(Some(placed), velocities).unwrap(), Some(placed));
         let line = "--wheel-radius 0.1 --wheel-track 0.5";

@@ -45,7 +45,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
     let mut files = args.calibration.files();
-    args.robot.wheels.name_topic(&mut files);
+    args.robot.wheels.name_topic(&mut files)?;
     args.robot.gnss.name_topic(&mut files)?;
     let recording = Recording::open_with(&args.recording, &files)?;
     let maps = match (&args.map, args.robot.map_mode()?) {

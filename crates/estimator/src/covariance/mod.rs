@@ -19,7 +19,7 @@ use crate::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use crate::propagation::{IMU_DIM, ImuMatrix};
 use crate::schmidt::HeldKeyframes;
 use faer::linalg::matmul::triangular::BlockStructure;
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix6, SMatrix};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix6};
 use std::ops::Range;
 
 /// Memory reused from one update to the next.
@@ -182,8 +182,8 @@ impl JointCovariance {
     }
 
     /// Replaces the covariance of errors from `begin` on that are not correlated with any other.
-    pub fn replace<const N: usize>(&mut self, begin: usize, covariance: &SMatrix<f64, N, N>) {
-        self.active.view_mut().fixed_view_mut::<N, N>(begin, begin).copy_from(covariance);
+    pub fn replace(&mut self, begin: usize, covariance: &DMatrix<f64>) {
+        self.active.view_mut().view_mut((begin, begin), covariance.shape()).copy_from(covariance);
     }
 
     /// `P_CC`, for the gates on single landmarks.

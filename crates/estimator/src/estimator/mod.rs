@@ -40,7 +40,7 @@ use crate::odometry::{second_order, slam_update};
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
 use crate::state::ActiveState;
 use crate::wheels::WheelOdometry;
-use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
+use crate::wheels::calibration::WheelCalibration;
 use crate::wheels::config::WheelConfig;
 use geometry::Pose;
 use nalgebra::{DMatrix, DVector};
@@ -246,14 +246,12 @@ fn initial_covariance(
     wheels: Option<&WheelConfig>,
 ) -> DMatrix<f64> {
     let wheels_begin = IMU_DIM + calibration.dim();
-    let dim = wheels_begin + wheels.map_or(0, |_| WHEELS_DIM);
+    let of_wheels = wheels.map(WheelCalibration::initial_covariance).unwrap_or_default();
+    let dim = wheels_begin + of_wheels.nrows();
     let mut covariance = DMatrix::zeros(dim, dim);
     covariance.fixed_view_mut::<IMU_DIM, IMU_DIM>(0, 0).copy_from(imu);
     let of_calibration = calibration.initial_covariance();
     covariance.view_mut((IMU_DIM, IMU_DIM), of_calibration.shape()).copy_from(&of_calibration);
-    if let Some(wheels) = wheels {
-        let of_wheels = WheelCalibration::initial_covariance(wheels);
-        covariance.fixed_view_mut::<WHEELS_DIM, WHEELS_DIM>(wheels_begin, wheels_begin).copy_from(&of_wheels);
-    }
+    covariance.view_mut((wheels_begin, wheels_begin), of_wheels.shape()).copy_from(&of_wheels);
     covariance
 }

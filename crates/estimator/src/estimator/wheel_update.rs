@@ -4,7 +4,7 @@ use super::Estimator;
 use crate::error::EstimatorError;
 use crate::state::Block;
 use crate::wheels::buffer::BadWheelReading;
-use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
+use crate::wheels::calibration::WheelCalibration;
 use crate::wheels::linearization::{ClonesAround, TimedPose, linearize};
 use crate::wheels::measurement::{Part, WheelMeasurement};
 use crate::wheels::preintegration::{PlanarMotion, preintegrate};
@@ -34,15 +34,15 @@ impl Estimator {
     pub fn learned_wheels(&self) -> Option<LearnedWheels> {
         let range = self.state.range(Block::Wheels)?;
         let covariance = self.covariance.active().view();
-        let covariance =
-            covariance.fixed_view::<WHEELS_DIM, WHEELS_DIM>(range.start, range.start).into_owned();
+        let covariance = covariance.view((range.start, range.start), (range.len(), range.len())).into_owned();
         Some(LearnedWheels { calibration: self.state.wheels?, covariance })
     }
 
     /// Continues from a calibration that another filter of the same robot has learned; before the first image.
     pub fn resume_wheels(&mut self, learned: &LearnedWheels) {
-        let Some(range) = self.state.range(Block::Wheels) else { return };
         let LearnedWheels { calibration, covariance } = learned;
+        let range = self.state.range(Block::Wheels).filter(|range| range.len() == covariance.nrows());
+        let Some(range) = range else { return };
         self.state.wheels = Some(*calibration);
         self.covariance.replace(range.start, covariance);
     }
@@ -72,7 +72,7 @@ impl Estimator {
     ) -> Result<(), EstimatorError> {
         let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
         let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
-        let residual_m = measurement.residual_of_wheels(calibration.track_m);
+        let residual_m = measurement.residual_of_wheels(&calibration.base);
         let is_trusted = wheels.watch.is_trusted();
         let is_accepted = self.update_part(wheels, &measurement, Part::Rolling, is_trusted)?;
         wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m);

@@ -78,7 +78,7 @@ impl WheelBuffer {
         if !reading.is_finite() {
             return Err(BadWheelReading::NotFinite { stamp_ns });
         }
-        let speed = reading.left.abs().max(reading.right.abs());
+        let speed = reading.values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
         if speed > MAX_SPEED {
             return Err(BadWheelReading::Implausible { stamp_ns, speed });
         }
@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     fn reading(stamp_ns: i64) -> WheelReading {
-        WheelReading { stamp_ns, left: stamp_ns as f64 * 1e-8, right: 1.0 }
+        WheelReading::new(stamp_ns, [stamp_ns as f64 * 1e-8, 1.0])
     }
 
     #[test]
@@ -157,7 +157,9 @@ mod tests {
         assert!((period_s - 0.02).abs() < 1e-12);
         let stamps: Vec<i64> = readings.iter().map(|reading| reading.stamp_ns / 1_000_000).collect();
         assert_eq!(stamps, [25, 40, 60, 75]);
-        assert!(readings.iter().all(|reading| (reading.left - reading.stamp_ns as f64 * 1e-8).abs() < 1e-12));
+        assert!(
+            readings.iter().all(|reading| (reading.values[0] - reading.stamp_ns as f64 * 1e-8).abs() < 1e-12)
+        );
         assert_eq!(buffer.interval(10_000_000, 75_000_000), Interval::Missing);
         assert_eq!(buffer.interval(30_000_000, 190_000_000), Interval::NotYet);
         assert!(matches!(buffer.interval(40_000_000, 180_000_000), Interval::Covered(_)));
@@ -174,9 +176,9 @@ mod tests {
         buffer.push(reading(10)).unwrap();
         let refused = |bad: WheelReading| buffer.clone().push(bad).unwrap_err();
         assert!(matches!(refused(reading(10)), BadWheelReading::NotNewer { .. }));
-        let not_a_number = WheelReading { left: f64::NAN, ..reading(20) };
+        let not_a_number = WheelReading::new(20, [f64::NAN]);
         assert!(matches!(refused(not_a_number), BadWheelReading::NotFinite { .. }));
-        let fast = WheelReading { right: -1e4, ..reading(20) };
+        let fast = WheelReading::new(20, [0.0, -1e4]);
         assert!(matches!(refused(fast), BadWheelReading::Implausible { .. }));
         buffer.push(reading(30)).unwrap();
         assert_eq!(buffer.newest_ns(), Some(30));

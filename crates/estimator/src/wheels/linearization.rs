@@ -7,10 +7,11 @@
 use super::buffer::WheelInterval;
 use super::calibration::WheelCalibration;
 use super::config::WheelNoise;
-use super::measurement::{relative_motion, ways_of_wheels};
-use super::preintegration::{PlanarMotion, Speed, preintegrate};
+use super::kinematics::values_of_excess;
+use super::measurement::relative_motion;
+use super::preintegration::{PlanarMotion, preintegrate};
 use geometry::Pose;
-use nalgebra::Vector4;
+use nalgebra::Vector3;
 
 /// The pose of a clone, and its time by the clock of the IMU.
 #[derive(Clone, Copy, Debug)]
@@ -48,28 +49,32 @@ pub fn linearize(
     let base = &calibration.imu_from_base;
     let ClonesAround { before, first, second, after } = clones;
     let stated = relative_motion(&first.local_from_imu, &second.local_from_imu, base);
-    let measured = Vector4::new(motion.motion.x, motion.motion.y, motion.motion.z, 0.0);
-    let excess = ways_of_wheels(&(measured - stated), calibration.track_m);
-    let rates = [excess[0] / calibration.radius_left_m, excess[1] / calibration.radius_right_m]
-        .map(|turned| turned / motion.seconds.max(1e-9));
+    let mut excess = motion.motion - stated.xyz();
+    if !calibration.base.kind().moves_sideways() {
+        excess.z = 0.0;
+    }
+    let seconds = motion.seconds.max(1e-9);
+    let surplus = values_of_excess(&calibration.base, &interval.readings, &excess, seconds);
     let mut expected = interval.clone();
     for reading in &mut expected.readings {
-        reading.left -= rates[0];
-        reading.right -= rates[1];
+        reading.values.iter_mut().zip(surplus).for_each(|(value, surplus)| *value -= surplus);
     }
     let mut expected = preintegrate(&expected, calibration, noise)?;
-    let from = speed_between(before.as_ref().unwrap_or(first), second, base);
-    let to = speed_between(first, after.as_ref().unwrap_or(second), base);
-    expected.set_speeds(&from, &to);
+    let mut from = speed_between(before.as_ref().unwrap_or(first), second, base);
+    let mut to = speed_between(first, after.as_ref().unwrap_or(second), base);
+    if !calibration.base.kind().moves_sideways() {
+        (from.z, to.z) = (0.0, 0.0);
+    }
+    expected.set_speeds(calibration.clock(), &from, &to);
     Some(PlanarMotion { wrt_calibration: expected.wrt_calibration, ..*motion })
 }
 
-/// Mean speed of the base between two clones.
-fn speed_between(begin: &TimedPose, end: &TimedPose, imu_from_base: &Pose) -> Speed {
+/// Mean speed of the base between two clones: turn, ahead and left (rad/s, m/s).
+fn speed_between(begin: &TimedPose, end: &TimedPose, imu_from_base: &Pose) -> Vector3<f64> {
     let moved = relative_motion(&begin.local_from_imu, &end.local_from_imu, imu_from_base);
     let seconds = ((end.stamp_ns - begin.stamp_ns) as f64 * 1e-9).max(1e-9);
     let (sin, cos) = (moved.x / 2.0).sin_cos();
-    Speed { forward: (moved.y * cos + moved.z * sin) / seconds, turn: moved.x / seconds }
+    Vector3::new(moved.x, moved.y * cos + moved.z * sin, moved.z * cos - moved.y * sin) / seconds
 }
 
 #[cfg(test)]
@@ -77,26 +82,25 @@ mod tests {
     use super::*;
     use crate::wheels::config::WheelConfig;
     use geometry::rotation;
-    use nalgebra::Vector3;
-    use types::WheelReading;
+    use types::{BaseKind, WheelBase, WheelReading};
 
     /// Readings with any noise of the whole interval have the derivatives of those without.
     #[test]
     fn derivatives_do_not_depend_on_what_the_wheels_slipped() {
-        let mut config = WheelConfig::new(0.1, 0.5);
+        let mut config = WheelConfig::new(WheelBase::new(BaseKind::Differential, 0.1, 0.5));
         config.base_position_m = [-0.1, 0.05, -0.2];
         let (calibration, noise) = (WheelCalibration::new(&config), WheelNoise::default());
         let interval = |left: f64, right: f64| WheelInterval {
-            readings: (0..=5).map(|k| WheelReading { stamp_ns: k * 20_000_000, left, right }).collect(),
+            readings: (0..=5).map(|k| WheelReading::new(k * 20_000_000, [left, right])).collect(),
             period_s: 0.02,
         };
         let exact = interval(10.0, 14.0);
         let motion = preintegrate(&exact, &calibration, &noise).unwrap();
-        let speed = Speed { forward: 1.2, turn: 0.8 };
+        let (forward, turn) = (1.2, 0.8);
         let base_from_imu = calibration.imu_from_base.inverse();
         let clone = |k: i64| {
-            let angle = speed.turn * k as f64 * 0.1;
-            let radius = speed.forward / speed.turn;
+            let angle = turn * k as f64 * 0.1;
+            let radius = forward / turn;
             let position = Vector3::new(radius * angle.sin(), radius * (1.0 - angle.cos()), 0.0);
             let local_from_base = Pose::new(rotation::exp(&(Vector3::z() * angle)), position);
             TimedPose { local_from_imu: local_from_base * base_from_imu, stamp_ns: k * 100_000_000 }

@@ -4,33 +4,30 @@
 //! ```text
 //! R = R_Xᵀ R_iᵀ R_j R_X        p = R_Xᵀ (R_iᵀ (p_j - p_i) + (R_iᵀ R_j - 1) p_X)
 //! ```
-//! The wheels measure the heading `Log(R)_z` and `p_x`, and that `p_y` is what the arc makes it. `p_z` is zero on a flat
-//! floor.
+//! The wheels measure the heading `Log(R)_z` and `p_x`. They measure `p_y` where they can move the base sideways; else it is what
+//! the arc makes it. `p_z` is zero on a flat floor.
 
-use super::calibration::{EXTRINSICS, WHEELS_DIM, WheelCalibration};
+use super::calibration::{MAX_WHEELS_DIM, WheelCalibration};
 use super::config::WheelNoise;
-use super::preintegration::PlanarMotion;
+use super::kinematics::ways_of_wheels;
+use super::preintegration::{LEAST_SPEED, PlanarMotion};
 use crate::measurement::LinearizedMeasurement;
 use crate::state::{ActiveState, Block};
 use geometry::Pose;
 use geometry::rotation::{left_jacobian_inverse, log, skew};
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector4};
+use nalgebra::{Matrix3, Matrix4, SMatrix, Vector4};
 use std::ops::Range;
+use types::{MAX_WHEELS, WheelBase};
 
-/// Speed to which the noise across the track falls at rest, m/s: a vibrating body is not exactly still.
-const LEAST_SPEED: f64 = 0.05;
-
-/// Columns: calibration of the wheels, both clones, time offset of the cameras.
-const COLUMNS: usize = WHEELS_DIM + 13;
-const FIRST: usize = WHEELS_DIM;
-const CAMERA_CLOCK: usize = WHEELS_DIM + 12;
+/// Most columns: calibration of the wheels, both clones, time offset of the cameras.
+const COLUMNS: usize = MAX_WHEELS_DIM + 13;
 
 /// Rows of a whitened part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// What the wheels turn: heading and way. Slip contradicts it.
+    /// What the wheels turn: heading and way, also sideways where they move the base so. Slip contradicts it.
     Rolling,
-    /// What they forbid: motion along their axis and off the floor.
+    /// What they forbid: motion along their axis, and off the floor.
     OffTrack,
 }
 
@@ -39,8 +36,9 @@ pub enum Part {
 pub struct WheelMeasurement {
     residual: Vector4<f64>,
     jacobian: SMatrix<f64, 4, COLUMNS>,
-    rolling: Matrix2<f64>,
-    off_track: Matrix2<f64>,
+    covariance: Matrix4<f64>,
+    /// Whether the wheels move the base sideways.
+    moves_sideways: bool,
     blocks: Vec<Range<usize>>,
 }
 
@@ -49,12 +47,6 @@ pub(super) fn relative_motion(begin: &Pose, end: &Pose, imu_from_base: &Pose) ->
     let relative = (*begin * *imu_from_base).inverse() * (*end * *imu_from_base);
     let p = relative.translation;
     Vector4::new(log(&relative.rotation).z, p.x, p.y, p.z)
-}
-
-/// Way of the left and the right wheel in a motion of the base, metres.
-pub(super) fn ways_of_wheels(motion: &Vector4<f64>, track_m: f64) -> [f64; 2] {
-    let across = motion.x * track_m / 2.0;
-    [motion.y - across, motion.y + across]
 }
 
 /// Jacobian of [`relative_motion`] with respect to the errors of both poses and of `imu_from_base`.
@@ -118,11 +110,15 @@ impl WheelMeasurement {
             relative_motion_jacobian(&begin.local_from_imu, &end.local_from_imu, base)
         };
         let mut jacobian = SMatrix::<f64, 4, COLUMNS>::zeros();
-        jacobian.fixed_view_mut::<4, 12>(0, FIRST).copy_from(&by_poses.fixed_columns::<12>(0));
-        jacobian.fixed_view_mut::<4, 6>(0, EXTRINSICS).copy_from(&by_poses.fixed_columns::<6>(12));
-        jacobian.fixed_view_mut::<3, 4>(0, 0).copy_from(&-motion.wrt_calibration);
+        let (clones_begin, clock) = (calibration.dim(), calibration.clock());
+        jacobian.fixed_view_mut::<4, 12>(0, clones_begin).copy_from(&by_poses.fixed_columns::<12>(0));
+        let extrinsics = calibration.extrinsics();
+        jacobian.fixed_view_mut::<4, 6>(0, extrinsics).copy_from(&by_poses.fixed_columns::<6>(12));
+        let by_calibration = -motion.wrt_calibration.columns(0, clock + 1);
+        jacobian.view_mut((0, 0), (3, clock + 1)).copy_from(&by_calibration);
         // A larger offset of the cameras makes the clones later by the clock of the wheels, as a smaller one of theirs does.
-        jacobian.fixed_view_mut::<3, 1>(0, CAMERA_CLOCK).copy_from(&motion.wrt_calibration.column(3));
+        let by_clock = motion.wrt_calibration.column(clock);
+        jacobian.fixed_view_mut::<3, 1>(0, clones_begin + 12).copy_from(&by_clock);
 
         let mut blocks = vec![
             state.range(Block::Wheels)?,
@@ -135,29 +131,37 @@ impl WheelMeasurement {
         }
         let off_track =
             noise.sigma_off_track_m_sqrt_m.powi(2) * (motion.distance_m + LEAST_SPEED * motion.seconds);
-        Some(Self {
-            residual,
-            jacobian,
-            rolling: motion.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
-            off_track: Matrix2::new(motion.covariance[(2, 2)] + off_track, 0.0, 0.0, off_track),
-            blocks,
-        })
+        let mut covariance = Matrix4::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&motion.covariance);
+        let moves_sideways = calibration.base.kind().moves_sideways();
+        if !moves_sideways {
+            covariance[(2, 2)] += off_track;
+        }
+        covariance[(3, 3)] = off_track;
+        Some(Self { residual, jacobian, covariance, moves_sideways, blocks })
     }
 
-    /// Measured minus expected way of each wheel, left and right, metres.
-    pub fn residual_of_wheels(&self, track_m: f64) -> [f64; 2] {
-        ways_of_wheels(&self.residual, track_m)
+    /// Measured minus expected way of each wheel, metres; of a steering, that of the steered wheels to their side.
+    pub fn residual_of_wheels(&self, base: &WheelBase) -> [f64; MAX_WHEELS] {
+        ways_of_wheels(base, &self.residual.xyz())
     }
 
     /// One part of the measurement, whitened, into `rows`; `false` where its covariance is not positive definite.
     pub fn whiten(&self, part: Part, rows: &mut LinearizedMeasurement) -> bool {
-        let (begin, covariance) = match part {
-            Part::Rolling => (0, &self.rolling),
-            Part::OffTrack => (2, &self.off_track),
-        };
-        let jacobian = self.jacobian.fixed_rows::<2>(begin).into_owned();
-        let residual = self.residual.fixed_rows::<2>(begin).into_owned();
-        rows.set_whitened(&self.blocks, &jacobian, &residual, *covariance)
+        match (part, self.moves_sideways) {
+            (Part::Rolling, false) => self.whiten_rows::<2>(0, rows),
+            (Part::OffTrack, false) => self.whiten_rows::<2>(2, rows),
+            (Part::Rolling, true) => self.whiten_rows::<3>(0, rows),
+            (Part::OffTrack, true) => self.whiten_rows::<1>(3, rows),
+        }
+    }
+
+    /// So many rows from `begin` on.
+    fn whiten_rows<const ROWS: usize>(&self, begin: usize, rows: &mut LinearizedMeasurement) -> bool {
+        let jacobian = self.jacobian.fixed_rows::<ROWS>(begin).into_owned();
+        let residual = self.residual.fixed_rows::<ROWS>(begin).into_owned();
+        let covariance = self.covariance.fixed_view::<ROWS, ROWS>(begin, begin).into_owned();
+        rows.set_whitened(&self.blocks, &jacobian, &residual, covariance)
     }
 }
 
@@ -170,12 +174,16 @@ mod tests {
     use crate::wheels::preintegration::preintegrate;
     use geometry::numeric::numeric_jacobian;
     use nalgebra::{DMatrix, DVector, Vector3};
-    use types::WheelReading;
+    use types::{BaseKind, WheelReading};
 
     const CLONES: [usize; 2] = [3, 5];
 
     fn state(calibrating: bool) -> ActiveState {
-        let mut config = WheelConfig::new(0.10, 0.50);
+        state_of(BaseKind::Differential, calibrating)
+    }
+
+    fn state_of(kind: BaseKind, calibrating: bool) -> ActiveState {
+        let mut config = WheelConfig::new(WheelBase::new(kind, 0.10, 0.50));
         config.base_position_m = [-0.3, 0.1, -0.2];
         config.base_rotation_rad = [0.1, -0.2, 0.3];
         let mut state = scene(calibrating).state;
@@ -186,11 +194,17 @@ mod tests {
     /// The measurement, with readings that are shifted as the time offset is.
     fn measurement(state: &ActiveState, first_estimates: bool) -> WheelMeasurement {
         let calibration = state.wheels.unwrap();
+        let stated = WheelBase::new(calibration.base.kind(), 0.10, 0.50);
         let at = |k: i32| {
             let seconds = f64::from(k) * 0.02;
             let t = seconds - calibration.time_offset_s;
             let stamp_ns = (seconds * 1e9).round() as i64;
-            WheelReading { stamp_ns, left: 10.0 + t, right: 12.0 - 3.0 * t }
+            if stated.kind() == BaseKind::Ackermann {
+                return WheelReading::new(stamp_ns, [10.0 + t, 0.2 - 0.3 * t]);
+            }
+            let left = if stated.kind().moves_sideways() { 0.4 * t } else { 0.0 };
+            let ways = ways_of_wheels(&stated, &Vector3::new(0.4 - 0.8 * t, 1.1 - 0.1 * t, left));
+            WheelReading { stamp_ns, values: ways.map(|way| way / 0.10) }
         };
         let readings = (0..=20).map(at).collect();
         let interval = WheelInterval { readings, period_s: 0.02 };
@@ -210,20 +224,26 @@ mod tests {
         whole
     }
 
+    fn clock(state: &ActiveState) -> usize {
+        state.range(Block::Wheels).unwrap().start + state.wheels.unwrap().clock()
+    }
+
     #[test]
     fn the_jacobian_is_the_numeric_one() {
-        let state = state(false);
-        let found = whole(&state, &measurement(&state, false));
-        let numeric = numeric_jacobian(state.dim(), |error| {
-            let mut moved = state.clone();
-            moved.retract(error);
-            DVector::from_column_slice((-measurement(&moved, false).residual).as_slice())
-        });
-        let difference = &numeric - &found;
-        let clock = state.range(Block::Wheels).unwrap().start + 3;
-        assert!(difference.column(clock).amax() < 1e-3, "a chord is not an arc: {difference}");
-        assert!(difference.remove_column(clock).amax() < 1e-6);
-        assert!(found.amax() > 0.1);
+        for kind in BaseKind::ALL {
+            let state = state_of(kind, false);
+            let found = whole(&state, &measurement(&state, false));
+            let numeric = numeric_jacobian(state.dim(), |error| {
+                let mut moved = state.clone();
+                moved.retract(error);
+                DVector::from_column_slice((-measurement(&moved, false).residual).as_slice())
+            });
+            let difference = &numeric - &found;
+            let clock = clock(&state);
+            assert!(difference.column(clock).amax() < 1e-3, "a chord is not an arc: {kind}: {difference}");
+            assert!(difference.remove_column(clock).amax() < 1e-6, "{kind}");
+            assert!(found.amax() > 0.1);
+        }
     }
 
     #[test]
@@ -231,7 +251,7 @@ mod tests {
         let state = state(true);
         let found = whole(&state, &measurement(&state, true));
         let camera = found.column(state.range(Block::Calibration).unwrap().start);
-        let wheels = found.column(state.range(Block::Wheels).unwrap().start + 3);
+        let wheels = found.column(clock(&state));
         assert_eq!(camera, -wheels);
         assert!(camera.amax() > 1e-3);
     }
@@ -246,20 +266,25 @@ mod tests {
 
     #[test]
     fn whitened_rows_have_unit_noise_and_the_residual_is_that_of_the_wheels() {
+        for (kind, rolling) in [(BaseKind::Differential, 2), (BaseKind::Ackermann, 2), (BaseKind::Mecanum, 3)]
+        {
+            let state = state_of(kind, false);
+            let measurement = measurement(&state, false);
+            let mut rows = LinearizedMeasurement::default();
+            for (part, begin, count) in [(Part::Rolling, 0, rolling), (Part::OffTrack, rolling, 4 - rolling)]
+            {
+                assert!(measurement.whiten(part, &mut rows));
+                assert_eq!((rows.residual.len(), rows.jacobian.ncols()), (count, rows.blocks.len()));
+                let expected = measurement.residual.rows(begin, count).into_owned();
+                let covariance = measurement.covariance.view((begin, begin), (count, count)).into_owned();
+                let nis = expected.dot(&(covariance.try_inverse().unwrap() * &expected));
+                let found: f64 = rows.residual.iter().map(|value| value * value).sum();
+                assert!((found / nis - 1.0).abs() < 1e-9);
+            }
+        }
         let state = state(false);
         let measurement = measurement(&state, false);
-        let mut rows = LinearizedMeasurement::default();
-        for (part, begin, covariance) in
-            [(Part::Rolling, 0, measurement.rolling), (Part::OffTrack, 2, measurement.off_track)]
-        {
-            assert!(measurement.whiten(part, &mut rows));
-            assert_eq!((rows.residual.len(), rows.jacobian.ncols()), (2, rows.blocks.len()));
-            let expected = measurement.residual.fixed_rows::<2>(begin);
-            let nis = expected.dot(&(covariance.try_inverse().unwrap() * expected));
-            let found: f64 = rows.residual.iter().map(|value| value * value).sum();
-            assert!((found / nis - 1.0).abs() < 1e-9);
-        }
-        let [left, right] = measurement.residual_of_wheels(0.5);
+        let [left, right, ..] = measurement.residual_of_wheels(&state.wheels.unwrap().base);
         let back = Vector3::new((right - left) / 0.5, f64::midpoint(right, left), 0.0);
         assert!((back.xy() - measurement.residual.xy()).amax() < 1e-12);
     }

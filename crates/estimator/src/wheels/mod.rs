@@ -1,10 +1,10 @@
-//! Wheel odometry of a differential drive: how the base moved between two clones, from the speeds of its wheels.
+//! Wheel odometry: how the base moved between two clones, from the speeds of its wheels.
 //!
 //! The readings between two consecutive images are [preintegrated](preintegration) to a planar motion of the base with its
-//! covariance and its Jacobians with respect to radii, track and time offset, [linearized](linearization) at the motion of the clones. It is a [measurement] of both clones and of the
+//! covariance and its Jacobians with respect to its geometry and the time offset, [linearized](linearization) at the motion of the clones. It is a [measurement] of both clones and of the
 //! [calibration] of the wheels, which is a part of the state; all of it is estimated online with its uncertainty, since an
-//! error of a radius is the same in all intervals and is not averaged away as their noise is. Sideways and off the floor the
-//! base does not move, except by what [`WheelNoise`](config::WheelNoise) states.
+//! error of a radius is the same in all intervals and is not averaged away as their noise is. Off the floor, and unless its
+//! wheels roll so sideways, the base does not move, except by what [`WheelNoise`](config::WheelNoise) states.
 //!
 //! A chi-square test rejects intervals with slip; wheels whose readings are nonsense are left out ([watch]). An interval is
 //! used at the first image behind its last reading.
@@ -14,6 +14,7 @@
 pub mod buffer;
 pub mod calibration;
 pub mod config;
+pub mod kinematics;
 pub mod linearization;
 pub mod measurement;
 pub mod preintegration;
@@ -76,7 +77,7 @@ impl WheelOdometry {
             config,
             buffer: WheelBuffer::default(),
             gate: Gate::new(config.noise.gate),
-            watch: WheelWatch::default(),
+            watch: WheelWatch::new(config.base.kind()),
             counts: WheelCounts::default(),
             rows: LinearizedMeasurement::default(),
             clones: VecDeque::new(),

@@ -1,8 +1,10 @@
 //! What wheel odometry did, and what it found.
 
-use super::calibration::{EXTRINSICS, WHEELS_DIM, WheelCalibration};
-use nalgebra::SMatrix;
+use super::calibration::WheelCalibration;
+use nalgebra::DMatrix;
 use serde::Serialize;
+use std::collections::BTreeMap;
+use types::BaseKind;
 
 /// Counts of intervals between two images, and of readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -32,17 +34,16 @@ pub struct Estimated {
 }
 
 /// What wheel odometry did, and the calibration that it found.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct WheelReport {
+    /// What the base is.
+    pub base: BaseKind,
     /// Intervals and readings.
     pub counts: WheelCounts,
-    /// Radius of the left wheel, metres.
-    pub radius_left_m: Estimated,
-    /// Radius of the right wheel, metres.
-    pub radius_right_m: Estimated,
-    /// Distance between the wheels, metres.
-    pub track_m: Estimated,
+    /// Its geometry, by the names of [`WheelBase::parameter_names`](types::WheelBase::parameter_names), which have the units.
+    #[serde(flatten)]
+    pub geometry: BTreeMap<&'static str, Estimated>,
     /// Added to the stamp of a reading to obtain the IMU's time, seconds.
     pub time_offset_s: Estimated,
     /// Origin of the base in the IMU frame, metres.
@@ -58,23 +59,24 @@ impl WheelReport {
         let estimated = |value: f64, k: usize| Estimated { value, sigma: covariance[(k, k)].max(0.0).sqrt() };
         let turn = geometry::rotation::log(&calibration.imu_from_base.rotation);
         let position = calibration.imu_from_base.translation;
+        let (base, extrinsics) = (&calibration.base, calibration.extrinsics());
+        let values = base.parameters().into_iter().enumerate().map(|(k, value)| estimated(value, k));
         Self {
+            base: base.kind(),
             counts,
-            radius_left_m: estimated(calibration.radius_left_m, 0),
-            radius_right_m: estimated(calibration.radius_right_m, 1),
-            track_m: estimated(calibration.track_m, 2),
-            time_offset_s: estimated(calibration.time_offset_s, 3),
-            base_position_m: std::array::from_fn(|k| estimated(position[k], EXTRINSICS + 3 + k)),
-            base_rotation_rad: std::array::from_fn(|k| estimated(turn[k], EXTRINSICS + k)),
+            geometry: base.parameter_names().iter().copied().zip(values).collect(),
+            time_offset_s: estimated(calibration.time_offset_s, calibration.clock()),
+            base_position_m: std::array::from_fn(|k| estimated(position[k], extrinsics + 3 + k)),
+            base_rotation_rad: std::array::from_fn(|k| estimated(turn[k], extrinsics + k)),
         }
     }
 }
 
 /// A calibration of the wheels as a filter learned it, for another filter of the same robot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LearnedWheels {
     /// The estimate.
     pub(crate) calibration: WheelCalibration,
     /// Covariance of its error.
-    pub(crate) covariance: SMatrix<f64, WHEELS_DIM, WHEELS_DIM>,
+    pub(crate) covariance: DMatrix<f64>,
 }

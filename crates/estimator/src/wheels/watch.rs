@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::fmt;
+use types::{BaseKind, MAX_WHEELS};
 
 /// Time over which intervals are looked at, nanoseconds.
 const WINDOW_NS: i64 = 1_000_000_000;
@@ -16,28 +17,32 @@ const AGAIN_NS: i64 = 2_000_000_000;
 const MOST: f64 = 0.7;
 /// Time without a usable reading after which the wheels are silent, nanoseconds.
 const SILENT_NS: i64 = 800_000_000;
-/// One wheel is to blame where its squared residuals are so many times those of the other.
+/// One wheel is to blame where its squared residuals are so many times those of any other.
 const BLAME: f64 = 4.0;
 
-/// A wheel.
+/// A wheel, or the steering.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Wheel {
-    /// The left one.
-    Left,
-    /// The right one.
-    Right,
-    /// Both, or it cannot be told which.
-    Both,
+    /// That of a number of the readings.
+    Of(BaseKind, usize),
+    /// Several, or it cannot be told which.
+    Several,
 }
 
 impl fmt::Display for Wheel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Left => "the left wheel contradicts",
-            Self::Right => "the right wheel contradicts",
-            Self::Both => "the wheels contradict",
-        })
+        match self {
+            Self::Of(BaseKind::Ackermann, 1) => f.write_str("the steering contradicts"),
+            Self::Of(BaseKind::Ackermann, _) => f.write_str("the speed of the driven axle contradicts"),
+            Self::Of(kind @ (BaseKind::Omni3 | BaseKind::Omni4), index) => {
+                write!(f, "{} contradicts", kind.columns()[*index].replace('_', " "))
+            }
+            Self::Of(kind, index) => {
+                write!(f, "the {} wheel contradicts", kind.columns()[*index].replace('_', " "))
+            }
+            Self::Several => f.write_str("the wheels contradict"),
+        }
     }
 }
 
@@ -48,7 +53,7 @@ pub enum WheelFault {
     /// What they turn is not how the body moves.
     #[error(
         "{wheel} cameras and IMU: wheel odometry is left out until they agree; check encoders, units and signs, radii, track \
-         and base pose, and whether the wheels slip"
+         (wheelbase, reach) and base pose, and whether the wheels slip"
     )]
     Contradiction {
         /// Which one.
@@ -68,13 +73,14 @@ struct Tested {
     from_ns: i64,
     to_ns: i64,
     is_accepted: bool,
-    /// Squared residuals of the left and the right wheel, m^2.
-    squares: [f64; 2],
+    /// Squared residuals of the wheels, m^2.
+    squares: [f64; MAX_WHEELS],
 }
 
 /// The watch over the wheels.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct WheelWatch {
+    base: BaseKind,
     tested: VecDeque<Tested>,
     contradicts: Option<Wheel>,
     /// Since when there are no usable readings, nanoseconds.
@@ -83,12 +89,17 @@ pub struct WheelWatch {
 }
 
 impl WheelWatch {
+    /// Nothing was tested yet.
+    pub fn new(base: BaseKind) -> Self {
+        Self { base, tested: VecDeque::new(), contradicts: None, missing_since_ns: None, silent_s: None }
+    }
+
     /// Takes in the test of an interval.
     ///
     /// # Arguments
     /// * `span_ns`: begin and end, nanoseconds.
-    /// * `residual_m`: of the left and the right wheel, metres.
-    pub fn note(&mut self, span_ns: [i64; 2], is_accepted: bool, residual_m: [f64; 2]) {
+    /// * `residual_m`: of each wheel, metres.
+    pub fn note(&mut self, span_ns: [i64; 2], is_accepted: bool, residual_m: [f64; MAX_WHEELS]) {
         let [from_ns, to_ns] = span_ns;
         (self.missing_since_ns, self.silent_s) = (None, None);
         self.tested.push_back(Tested { from_ns, to_ns, is_accepted, squares: residual_m.map(|r| r * r) });
@@ -149,14 +160,16 @@ impl WheelWatch {
     /// The wheel whose residuals are larger.
     fn blamed(&self) -> Wheel {
         let rejected = self.tested.iter().filter(|tested| !tested.is_accepted);
-        let (left, right) = rejected
-            .fold((0.0, 0.0), |(left, right), tested| (left + tested.squares[0], right + tested.squares[1]));
-        if left > BLAME * right {
-            Wheel::Left
-        } else if right > BLAME * left {
-            Wheel::Right
-        } else {
-            Wheel::Both
+        let mut sums: Vec<(f64, usize)> = (0..self.base.columns().len()).map(|index| (0.0, index)).collect();
+        for tested in rejected {
+            for (sum, index) in &mut sums {
+                *sum += tested.squares[*index];
+            }
+        }
+        sums.sort_by(|one, other| other.0.total_cmp(&one.0));
+        match sums.as_slice() {
+            [(most, index), (next, _), ..] if *most > BLAME * next => Wheel::Of(self.base, *index),
+            _ => Wheel::Several,
         }
     }
 }
@@ -171,7 +184,7 @@ mod tests {
     fn noted(watch: &mut WheelWatch, begin: i64, intervals: impl Iterator<Item = bool>) -> i64 {
         let mut next = begin;
         for is_accepted in intervals {
-            watch.note([next * STEP_NS, (next + 1) * STEP_NS], is_accepted, [0.02, 0.001]);
+            watch.note([next * STEP_NS, (next + 1) * STEP_NS], is_accepted, [0.02, 0.001, 0.0, 0.0]);
             next += 1;
         }
         next
@@ -179,13 +192,17 @@ mod tests {
 
     #[test]
     fn half_a_second_of_slip_is_no_fault_and_a_second_of_nonsense_is() {
-        let mut watch = WheelWatch::default();
+        let mut watch = WheelWatch::new(BaseKind::Differential);
         let now = noted(&mut watch, 0, (0..40).map(|_| true));
         let now = noted(&mut watch, now, (0..11).map(|_| false));
         assert!(watch.is_trusted());
         let now = noted(&mut watch, now, (0..30).map(|_| true));
         let now = noted(&mut watch, now, (0..19).map(|_| false));
-        assert_eq!(watch.fault(), Some(WheelFault::Contradiction { wheel: Wheel::Left }));
+        assert_eq!(
+            watch.fault(),
+            Some(WheelFault::Contradiction { wheel: Wheel::Of(BaseKind::Differential, 0) })
+        );
+        assert!(watch.fault().unwrap().to_string().starts_with("the left wheel contradicts"));
         let now = noted(&mut watch, now, (0..30).map(|_| true));
         assert!(!watch.is_trusted(), "they have to agree for two seconds");
         noted(&mut watch, now, (0..15).map(|_| true));
@@ -194,7 +211,7 @@ mod tests {
 
     #[test]
     fn silence_is_a_fault() {
-        let mut watch = WheelWatch::default();
+        let mut watch = WheelWatch::new(BaseKind::Differential);
         let now = noted(&mut watch, 0, (0..40).map(|_| true));
         for k in now..now + 16 {
             watch.note_missing(k * STEP_NS, (k + 1) * STEP_NS);

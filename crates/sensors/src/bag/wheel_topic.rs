@@ -5,8 +5,8 @@ use super::messages;
 use super::recorded_calibration::{imu_frame, static_transforms};
 use super::rows::Values;
 use super::topics::{JOINT_STATE, ODOMETRY, named, wrong};
-use crate::ros_wheels::{WheelJoints, base_velocity};
-use crate::{CalibrationFiles, SequenceError, WheelReading, WheelReadings, WheelSensor};
+use crate::ros_wheels::{JointReader, WheelJoints, base_velocity};
+use crate::{BaseKind, CalibrationFiles, SequenceError, WheelReading, WheelReadings, WheelSensor};
 use bags::Bag;
 use ros_messages::RosMessage;
 use ros_messages::nav_msgs::Odometry;
@@ -20,9 +20,9 @@ const LOOKED_AT: usize = 50;
 #[derive(Clone, Debug)]
 pub(super) enum WheelTopic {
     /// `sensor_msgs/JointState`.
-    Joints(WheelJoints),
-    /// `nav_msgs/Odometry`, and the frame whose velocity it is.
-    Base(String),
+    Joints(JointReader),
+    /// `nav_msgs/Odometry`: what the base is, and the frame whose velocity it is.
+    Base(BaseKind, String),
 }
 
 impl WheelTopic {
@@ -37,7 +37,7 @@ impl WheelTopic {
             return Err(wrong(bag, format!("{name} cannot be read: {why}")));
         }
         let is_base = bag.topics()[topic].type_name == ODOMETRY;
-        let found = if is_base { base(bag, topic)? } else { joints(bag, topic, files)? };
+        let found = if is_base { base(bag, topic, files)? } else { joints(bag, topic, files)? };
         Ok(Some((topic, found)))
     }
 
@@ -45,7 +45,7 @@ impl WheelTopic {
     pub(super) fn readings(&self) -> WheelReadings {
         match self {
             Self::Joints(_) => WheelReadings::Speeds,
-            Self::Base(_) => WheelReadings::BaseVelocities,
+            Self::Base(..) => WheelReadings::BaseVelocities,
         }
     }
 
@@ -54,9 +54,9 @@ impl WheelTopic {
     /// # Arguments
     /// * `imu`: topic of the IMU.
     pub(super) fn calibration(&self, bag: &Bag, imu: Option<usize>) -> Option<WheelSensor> {
-        let Self::Base(base) = self else { return None };
+        let Self::Base(kind, base) = self else { return None };
         let imu_from_base = static_transforms(bag).between(&imu_frame(bag, imu?), base)?;
-        Some(WheelSensor::of_base_velocity(imu_from_base))
+        Some(WheelSensor::of_base_velocity(*kind, imu_from_base))
     }
 
     /// The readings of a topic that was found.
@@ -65,18 +65,23 @@ impl WheelTopic {
         bag: &Arc<Bag>,
         topic: &Arc<StampedTopic>,
     ) -> impl Iterator<Item = Result<WheelReading, SequenceError>> + use<> {
-        let how = self.clone();
+        let mut how = self.clone();
         let values = Values::new(bag, topic, move |bag: &Bag, topic, message: Stamped| {
             let place = message.place;
-            let reading = match &how {
-                Self::Joints(joints) => {
-                    joints.reading(&messages::read::<JointState>(bag, topic, place).ok()?)?
+            let reading = match &mut how {
+                Self::Joints(reader) => {
+                    let joints = messages::read::<JointState>(bag, topic, place).ok()?;
+                    // The first positions have no speed yet.
+                    return Some(reader.reading(message.stamp_ns, &joints));
                 }
-                Self::Base(_) => base_velocity(&messages::read::<Odometry>(bag, topic, place).ok()?).ok()?,
+                Self::Base(kind, _) => {
+                    base_velocity(&messages::read::<Odometry>(bag, topic, place).ok()?, *kind).ok()?
+                }
             };
-            reading.is_finite().then_some(reading)
+            let reading = WheelReading { stamp_ns: message.stamp_ns, ..reading };
+            reading.is_finite().then_some(Some(reading))
         });
-        values.map(|(stamp_ns, reading)| Ok(WheelReading { stamp_ns, ..reading }))
+        values.filter_map(|(_, reading)| reading.map(Ok))
     }
 }
 
@@ -87,31 +92,36 @@ fn samples<M: RosMessage>(bag: &Bag, topic: usize) -> impl Iterator<Item = M> {
     recorded.iter().step_by(step).filter_map(move |message| messages::read(bag, topic, message.place).ok())
 }
 
-fn base(bag: &Bag, topic: usize) -> Result<WheelTopic, SequenceError> {
+fn base(bag: &Bag, topic: usize, files: &CalibrationFiles) -> Result<WheelTopic, SequenceError> {
     let mut frame = String::new();
+    let kind = files.wheel_base.unwrap_or_default();
     for message in samples::<Odometry>(bag, topic) {
-        base_velocity(&message)
+        base_velocity(&message, kind)
             .map_err(|sideways| wrong(bag, format!("{}: {sideways}", bag.topics()[topic].name)))?;
         frame = message.child_frame_id;
     }
-    Ok(WheelTopic::Base(frame))
+    Ok(WheelTopic::Base(kind, frame))
 }
 
 fn joints(bag: &Bag, topic: usize, files: &CalibrationFiles) -> Result<WheelTopic, SequenceError> {
     let mut names: Vec<String> = samples::<JointState>(bag, topic).flat_map(|message| message.name).collect();
     names.sort_unstable();
     names.dedup();
-    let joints = match &files.wheel_joints {
-        Some(given) => Some(WheelJoints::named(given.clone())),
-        None => WheelJoints::among(&names),
+    let kind = files.wheel_base.unwrap_or_default();
+    let joints = match files.wheel_joints.as_slice() {
+        [] => WheelJoints::among(kind, &names),
+        given => WheelJoints::named(kind, given),
     };
     let is_there = |joints: &WheelJoints| joints.names().all(|joint| names.contains(joint));
-    joints.filter(is_there).map(WheelTopic::Joints).ok_or_else(|| {
+    let Some(joints) = joints.filter(is_there) else {
         let problem = format!(
-            "the joints of the left and the right wheel are not known: name them with --wheel-joints LEFT,RIGHT; {} has: {}",
+            "the joints of the wheels are not known: name those of a {kind} base with --wheel-joints {}, or the base with --wheel-base; {} \
+             has: {}",
+            kind.columns().join(",").to_uppercase(),
             bag.topics()[topic].name,
             names.join(", ")
         );
-        wrong(bag, problem)
-    })
+        return Err(wrong(bag, problem));
+    };
+    Ok(WheelTopic::Joints(JointReader::new(kind, Some(joints), files.wheel_encoder)))
 }

@@ -2,18 +2,19 @@
 
 use super::camera_folder::FrameRows;
 use super::stamps::{FrameStamps, TableStamps};
-use super::tables::{PositionRow, TimedRows};
+use super::tables::{PositionRow, TimedRows, WheelRow};
 use crate::CalibrationFiles;
 use crate::gnss_intake::GnssIntake;
 use crate::imu_intake::ImuIntake;
 use crate::rows::Rows;
 use crate::stored::Stored;
+use crate::wheel_intake::WheelIntake;
 use crate::{
     Frame, GnssReading, GnssSensor, ImuSample, PairCounts, ReferencePose, SensorCalibration, SequenceError,
     Table, TruthRow, WheelReading,
 };
 use calibration::kalibr;
-use calibration::{relative_time_shifts, sensor_yaml};
+use calibration::{relative_time_shifts, sensor_yaml, wheel_yaml};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -28,7 +29,7 @@ pub(crate) struct Folder {
     root: PathBuf,
     frames: Arc<FrameStamps>,
     readings: Option<TableStamps>,
-    wheels: Option<TableStamps>,
+    wheels: Option<(TableStamps, WheelIntake)>,
     gnss: Option<(TableStamps, GnssSensor)>,
     truth: Option<TableStamps>,
     reference_poses: Option<TableStamps>,
@@ -77,7 +78,7 @@ impl FolderCalibration {
             (None, folder) => Some(sensor_yaml::read_imu(&folder.join("sensor.yaml"))?),
         };
         let wheels_path = mav.join("wheels0/sensor.yaml");
-        let wheels = wheels_path.exists().then(|| sensor_yaml::read_wheels(&wheels_path)).transpose()?;
+        let wheels = wheels_path.exists().then(|| wheel_yaml::read_wheels(&wheels_path)).transpose()?;
         let gnss_path = mav.join("gnss0/sensor.yaml");
         let gnss = gnss_path.exists().then(|| sensor_yaml::read_gnss(&gnss_path)).transpose()?;
         let count = (1..MAX_CAMERAS).take_while(|index| mav.join(format!("cam{index}")).is_dir()).count() + 1;
@@ -126,7 +127,8 @@ impl Folder {
             root: root.to_path_buf(),
             frames: Arc::new(FrameStamps::read(&mav, &sensors.cameras, files.pair_tolerance_ns())),
             readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
-            wheels: if_there(wheels_path(root)),
+            wheels: if_there(wheels_path(root))
+                .map(|stamps| (stamps, WheelIntake::new(sensors.wheels.as_ref(), files))),
             gnss: if_there(gnss_path(root)).map(|stamps| (stamps, sensors.gnss.unwrap_or_default())),
             truth: if_there(truth_path(root)),
             reference_poses: if_there(reference_path(root)),
@@ -171,8 +173,16 @@ impl Stored for Folder {
     }
 
     fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
-        let Some(TableStamps { order, .. }) = &self.wheels else { return Ok(Box::new(std::iter::empty())) };
-        Ok(Box::new(TimedRows::open_in_order(&wheels_path(&self.root), order)?))
+        let Some((TableStamps { order, .. }, intake)) = &self.wheels else {
+            return Ok(Box::new(std::iter::empty()));
+        };
+        let path = wheels_path(&self.root);
+        let rows = TimedRows::<WheelRow>::open_in_order(&path, order)?;
+        let mut intake = intake.clone();
+        Ok(Box::new(rows.filter_map(move |row| match row {
+            Ok(row) => row.wheel_reading(&path, &mut intake).transpose(),
+            Err(error) => Some(Err(error)),
+        })))
     }
 
     fn gnss_readings(&self) -> Result<Rows<'static, GnssReading>, SequenceError> {

@@ -6,6 +6,7 @@ use crate::pose_columns::{PoseColumns, QuaternionOrder};
 use crate::row_order::RowOrder;
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
+use crate::wheel_intake::{WheelIntake, WheelProblem};
 use crate::{
     GnssReading, ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow, WheelReading,
 };
@@ -13,6 +14,7 @@ use geometry::pose::Pose;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
+use types::MAX_WHEELS;
 
 /// How far a written quaternion's length may be from 1; files round to 4 to 9 decimals.
 const QUATERNION_TOLERANCE: f64 = 1e-2;
@@ -88,15 +90,45 @@ impl TimedRow for ImuSample {
     }
 }
 
-impl TimedRow for WheelReading {
+/// The speeds or counts of the wheels.
+pub(super) struct WheelRow {
+    stamp_ns: i64,
+    values: Vec<f64>,
+    line: u64,
+}
+
+impl Stamped for WheelRow {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
+}
+
+impl TimedRow for WheelRow {
     const PURPOSE: &'static str =
         "it holds the speeds of the wheels; delete wheels0 altogether if there were none";
     const IF_EMPTY: &'static str = Self::PURPOSE;
 
     fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
         row.require(3)?;
-        let [left, right] = row.finite_array(1)?;
-        Ok(Self { stamp_ns: row.stamp()?, left, right })
+        let columns = 1..row.len().min(1 + MAX_WHEELS);
+        let values = columns.map(|column| row.finite(column)).collect::<Result<_, _>>()?;
+        Ok(Self { stamp_ns: row.stamp()?, values, line: row.line() })
+    }
+}
+
+impl WheelRow {
+    /// The row as a reading; none of the first row of counters.
+    pub(super) fn wheel_reading(
+        self,
+        path: &Path,
+        intake: &mut WheelIntake,
+    ) -> Result<Option<WheelReading>, SequenceError> {
+        let wrong = |problem: WheelProblem| SequenceError::Row {
+            path: path.to_path_buf(),
+            line: self.line,
+            problem: problem.to_string(),
+        };
+        intake.take(self.stamp_ns, &self.values).map_err(wrong)
     }
 }
 

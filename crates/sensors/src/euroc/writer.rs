@@ -5,8 +5,9 @@
 
 use crate::{
     CameraSensor, Frame, GnssReading, GnssSensor, ImageData, ImuSensor, SensorCalibration, Sequence,
-    SequenceError, WheelSensor,
+    SequenceError,
 };
+use calibration::wheel_yaml::text_of_wheels;
 use geometry::pose::Pose;
 use nalgebra::Vector3;
 use std::ffi::OsStr;
@@ -29,9 +30,17 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
     }
     if !sequence.wheel_readings.is_empty() {
         write_file(&mav.join("wheels0/data.csv"), |out| {
-            writeln!(out, "#timestamp [ns],left [rad s^-1],right [rad s^-1]")?;
+            let columns = sequence.wheels.map(|wheels| wheels.base.kind()).unwrap_or_default().columns();
+            let units = columns.iter().map(|name| {
+                let unit = if *name == "steering" { "rad" } else { "rad s^-1" };
+                format!("{name} [{unit}]")
+            });
+            writeln!(out, "#timestamp [ns],{}", units.collect::<Vec<_>>().join(","))?;
             let mut rows = sequence.wheel_readings.iter();
-            rows.try_for_each(|row| writeln!(out, "{},{},{}", row.stamp_ns, row.left, row.right))
+            rows.try_for_each(|row| {
+                let values: Vec<String> = row.values[..columns.len()].iter().map(f64::to_string).collect();
+                writeln!(out, "{},{}", row.stamp_ns, values.join(","))
+            })
         })?;
     }
     if !sequence.gnss_readings.is_empty() {
@@ -93,7 +102,9 @@ pub fn write_calibration(calibration: &SensorCalibration, root: &Path) -> Result
         write_file(&root.join("mav0/imu0/sensor.yaml"), |out| imu_yaml(out, imu))?;
     }
     if let Some(wheels) = &calibration.wheels {
-        write_file(&root.join("mav0/wheels0/sensor.yaml"), |out| wheels_yaml(out, wheels))?;
+        write_file(&root.join("mav0/wheels0/sensor.yaml"), |out| {
+            out.write_all(text_of_wheels(wheels).as_bytes())
+        })?;
     }
     if let Some(gnss) = &calibration.gnss {
         write_file(&root.join("mav0/gnss0/sensor.yaml"), |out| gnss_yaml(out, gnss))?;
@@ -190,15 +201,6 @@ fn gnss_yaml(out: &mut Out, gnss: &GnssSensor) -> std::io::Result<()> {
         writeln!(out, "noise: {}", list(sigma_m))?;
     }
     gnss.correlation_time_s.map_or(Ok(()), |seconds| writeln!(out, "correlation_time: {seconds}"))
-}
-
-fn wheels_yaml(out: &mut Out, wheels: &WheelSensor) -> std::io::Result<()> {
-    writeln!(out, "sensor_type: wheels")?;
-    matrix_yaml(out, &wheels.imu_from_base)?;
-    writeln!(out, "radius_left: {}", wheels.radius_left_m)?;
-    writeln!(out, "radius_right: {}", wheels.radius_right_m)?;
-    writeln!(out, "track: {}", wheels.track_m)?;
-    wheels.sigma_speed_rad_s.map_or(Ok(()), |sigma| writeln!(out, "noise: {sigma}"))
 }
 
 fn imu_rows(out: &mut Out, sequence: &Sequence) -> std::io::Result<()> {

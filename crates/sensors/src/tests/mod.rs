@@ -9,6 +9,7 @@ mod plausibility;
 mod round_trip;
 mod source;
 mod stamps;
+mod wheels;
 
 use super::*;
 use geometry::camera::{Camera, Distortion};
@@ -81,11 +82,8 @@ fn sequence(seed: u64) -> Sequence {
             })
             .collect(),
         wheels: stereo.then(|| WheelSensor {
-            radius_left_m: 0.1,
-            radius_right_m: 0.101,
-            track_m: 0.5,
-            imu_from_base: pose(&mut rng),
             sigma_speed_rad_s: Some(0.03),
+            ..WheelSensor::new(WheelBase::new(BaseKind::Differential, 0.1, 0.5), pose(&mut rng))
         }),
         gnss: stereo.then(|| GnssSensor {
             antenna_in_imu: vector(&mut rng, 1.0),
@@ -100,10 +98,9 @@ fn sequence(seed: u64) -> Sequence {
             })
             .collect(),
         wheel_readings: (0..20)
-            .map(|index| WheelReading {
-                stamp_ns: START_NS + index * 19_999_777,
-                left: rng.random_range(-20.0..20.0),
-                right: rng.random_range(-20.0..20.0),
+            .map(|index| {
+                let speeds = [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)];
+                WheelReading::new(START_NS + index * 19_999_777, speeds)
             })
             .collect(),
         cameras,

@@ -8,7 +8,9 @@ use ros_messages::sensor_msgs::JointState;
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
 use sensors::ros::transform_message;
-use sensors::{CalibrationFiles, Recording, SensorEvent, SensorSource, SequenceError, WheelReadings};
+use sensors::{
+    BaseKind, CalibrationFiles, Recording, SensorEvent, SensorSource, SequenceError, WheelReadings,
+};
 
 const CAMERA: [&str; 1] = ["/cam0/image_raw"];
 
@@ -44,7 +46,7 @@ fn odometry(sideways: f64) -> impl Fn(Header, f64) -> Body {
 fn files(topic: &str, joints: Option<[&str; 2]>) -> CalibrationFiles {
     let mut files = CalibrationFiles::default();
     files.wheel_topic = Some(topic.to_owned());
-    files.wheel_joints = joints.map(|joints| joints.map(str::to_owned));
+    files.wheel_joints = joints.into_iter().flatten().map(str::to_owned).collect();
     files
 }
 
@@ -54,7 +56,7 @@ fn speeds(recording: &Recording<'_>) -> Vec<[f64; 2]> {
     while let Some(event) = source.next().unwrap() {
         if let SensorEvent::Wheels(reading) = event {
             assert_eq!(reading.stamp_ns, START_NS + found.len() as i64 * 20 * MS);
-            found.push([reading.left, reading.right]);
+            found.push([reading.values[0], reading.values[1]]);
         }
     }
     found
@@ -107,14 +109,53 @@ fn wheels_of_one_side_count_by_their_mean() {
 }
 
 #[test]
-fn joints_without_speeds_are_no_wheels() {
-    let positions = |header, position| {
+fn joints_without_speeds_are_read_by_their_positions() {
+    // One of them wraps around at a revolution.
+    let positions = |header, index: f64| {
         let name = vec!["left_wheel".to_owned(), "right_wheel".to_owned()];
-        Body::Joints(JointState { header, name, position: vec![position; 2], ..JointState::default() })
+        let position = vec![2.0 * index, (3.0 * index).rem_euclid(std::f64::consts::TAU)];
+        Body::Joints(JointState { header, name, position, ..JointState::default() })
     };
     let made = Made::new(&with_wheels("/joint_states", positions), &CAMERA);
     let recording = made.open_with(&files("/joint_states", None)).unwrap();
+    assert_eq!(recording.contents().wheels, Some(WheelReadings::Speeds));
+    let mut source = recording.source().unwrap();
+    let mut found = 0;
+    while let Some(event) = source.next().unwrap() {
+        let SensorEvent::Wheels(reading) = event else { continue };
+        // 0.1 a message, in the middle between two.
+        assert_eq!(reading.stamp_ns, START_NS + (20 * found + 10) * MS);
+        assert!((reading.values[0] - 10.0).abs() < 1e-6 && (reading.values[1] - 15.0).abs() < 1e-6);
+        found += 1;
+    }
+    assert_eq!(found, 99);
+}
+
+#[test]
+fn joints_without_numbers_are_no_wheels() {
+    let nothing = |header, _| {
+        let name = vec!["left_wheel".to_owned(), "right_wheel".to_owned()];
+        Body::Joints(JointState { header, name, ..JointState::default() })
+    };
+    let made = Made::new(&with_wheels("/joint_states", nothing), &CAMERA);
+    let recording = made.open_with(&files("/joint_states", None)).unwrap();
     assert!(recording.contents().wheels.is_none());
+}
+
+#[test]
+fn a_base_that_can_move_sideways_is_read_so() {
+    let mut files = files("/odom", None);
+    files.wheel_base = Some(BaseKind::Mecanum);
+    let made = Made::new(&with_wheels("/odom", odometry(0.3)), &CAMERA);
+    let recording = made.open_with(&files).unwrap();
+    let mut source = recording.source().unwrap();
+    let reading = std::iter::from_fn(|| source.next().unwrap()).find_map(|event| match event {
+        SensorEvent::Wheels(reading) if reading.stamp_ns == START_NS + 200 * MS => Some(reading),
+        _ => None,
+    });
+    let expected = [0.3, 1.7, 0.9, 1.1];
+    let off = reading.unwrap().values.into_iter().zip(expected).map(|(a, b): (f64, f64)| (a - b).abs());
+    assert!(off.fold(0.0, f64::max) < 1e-12);
 }
 
 #[test]
@@ -137,9 +178,9 @@ fn velocities_of_a_base_are_wheels_of_a_metre() {
     assert_near(&found, |ahead| [ahead - 0.2, ahead + 0.2]);
     // Speed and turn of wheels of this geometry.
     let [left, right] = found[10];
-    let (left_m_s, right_m_s) = (left * wheels.radius_left_m, right * wheels.radius_right_m);
+    let (left_m_s, right_m_s) = (left * wheels.base.radius_m(0), right * wheels.base.radius_m(1));
     assert!((0.5 * (left_m_s + right_m_s) - 1.0).abs() < 1e-12);
-    assert!(((right_m_s - left_m_s) / wheels.track_m - 0.4).abs() < 1e-12);
+    assert!(((right_m_s - left_m_s) / wheels.base.size_m() - 0.4).abs() < 1e-12);
 }
 
 #[test]

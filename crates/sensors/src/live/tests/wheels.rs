@@ -6,8 +6,7 @@ const WHEELS_MS: i64 = 20;
 
 /// Readings of the wheels on time, 2 ms after their stamp.
 fn wheels(seconds: i64) -> Script {
-    let reading =
-        |k: i64| WheelReading { stamp_ns: START_NS + k * WHEELS_MS * MS, left: k as f64, right: 1.0 };
+    let reading = |k: i64| WheelReading::new(START_NS + k * WHEELS_MS * MS, [k as f64, 1.0]);
     (0..seconds * 1000 / WHEELS_MS)
         .map(|k| (k * WHEELS_MS * MS + 2 * MS, Message::Wheels(reading(k))))
         .collect()
@@ -27,7 +26,7 @@ fn beside_others(wheels: Script, seconds: i64) -> Script {
 fn all_of_them_come_out_in_order_where_they_are_expected() {
     let played = play_wheels(beside_others(wheels(5), 5), 5);
     assert_eq!((played.wheels.len(), played.readings.len(), played.frames.len()), (250, 1000, 100));
-    assert!(played.wheels.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns && a.left < b.left));
+    assert!(played.wheels.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns && a.values[0] < b.values[0]));
     assert!(played.named.is_empty(), "{:?}", played.named);
     let unexpected = play(1, beside_others(wheels(5), 5), 5);
     assert!(unexpected.wheels.is_empty() && unexpected.frames.len() == 100);
@@ -49,9 +48,9 @@ fn silent_wheels_are_named_within_two_seconds_and_stop_nothing() {
 #[test]
 fn a_reading_that_is_not_finite_or_comes_twice_is_left_out_and_named() {
     let mut script = beside_others(wheels(3), 3);
-    let wrong = WheelReading { stamp_ns: START_NS + 1005 * MS, left: f64::NAN, right: 1.0 };
+    let wrong = WheelReading::new(START_NS + 1005 * MS, [f64::NAN, 1.0]);
     script.push((1006 * MS, Message::Wheels(wrong)));
-    let twice = WheelReading { stamp_ns: START_NS + 1000 * MS, left: 50.0, right: 1.0 };
+    let twice = WheelReading::new(START_NS + 1000 * MS, [50.0, 1.0]);
     script.push((1007 * MS, Message::Wheels(twice)));
     let played = play_wheels(script, 3);
     assert_eq!(played.wheels.len(), 150);
