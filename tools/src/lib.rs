@@ -20,6 +20,8 @@ mod open_page;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;
+#[cfg(feature = "releases")]
+pub mod review;
 pub mod run_tracks;
 pub mod server_query;
 pub mod stage_bar;

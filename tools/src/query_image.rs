@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
-use geometry::Camera;
+use anyhow::{Context as _, Result, bail, ensure};
+use geometry::{Camera, Pose};
 use onboard::arguments::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
 use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
@@ -80,6 +80,71 @@ impl QueryImage {
     }
 }
 
+/// Images of a recording that are localized one by one.
+#[derive(Clone, Debug)]
+pub struct RecordedQueries {
+    /// Pose of the camera that took them in the IMU's frame.
+    pub imu_from_camera: Pose,
+    /// Their times, ns, and the queries, without priors.
+    pub queries: Vec<(i64, LocalizeRequest)>,
+}
+
+impl RecordedQueries {
+    /// Reads images of camera 0, or their features where the recording has them, and extracts features.
+    ///
+    /// # Arguments
+    /// * `period_s`: they are at least so far apart, seconds.
+    ///
+    /// # Errors
+    /// A recording that cannot be read or has neither features nor images; weights or a mask that cannot be read.
+    pub fn read(
+        recording: &Path,
+        files: &CalibrationFiles,
+        period_s: f64,
+        arguments: &FeatureArguments,
+    ) -> Result<Self> {
+        let sequence = Sequence::open_without_readings(recording, files)?;
+        let sensor = &sequence.cameras[0];
+        let mut extractor = None;
+        let masks = arguments.read_masks()?;
+        let mut queries: Vec<(i64, LocalizeRequest)> = Vec::new();
+        let is_usable = usable(&sequence);
+        for frame in sequence.frames.iter().filter(|frame| is_usable(frame)) {
+            let is_due =
+                |(last, _): &(i64, LocalizeRequest)| (frame.stamp_ns - last) as f64 >= period_s * 1e9;
+            if !queries.last().is_none_or(is_due) {
+                continue;
+            }
+            let features = match (&frame.features, frame.images.get(&0)) {
+                (Some(features), _) => features.clone(),
+                (None, Some(data)) => {
+                    let of = format!("camera 0 of {}", recording.display());
+                    let image = read_image(data, &sensor.camera, &of)?;
+                    let extractor = match &mut extractor {
+                        Some(extractor) => extractor,
+                        none => none.insert(arguments.open_for_queries()?),
+                    };
+                    let mask = masks.first().and_then(Option::as_ref);
+                    let seen = extractor.extract(&image, mask, arguments.max_features);
+                    feature_set(extractor.name(), seen.with_context(|| data.to_string())?)
+                }
+                (None, None) => continue,
+            };
+            let camera = sensor.camera.clone();
+            let request = LocalizeRequest { camera, features, prior: None, gravity_in_camera: None };
+            queries.push((frame.stamp_ns, request));
+        }
+        ensure!(!queries.is_empty(), "{} has neither features nor images of camera 0", recording.display());
+        Ok(Self { imu_from_camera: sensor.imu_from_camera, queries })
+    }
+}
+
+/// Which frames of a recording can be localized by camera 0.
+fn usable(sequence: &Sequence) -> impl Fn(&Frame) -> bool + use<> {
+    let with_features = sequence.has_features();
+    move |frame| if with_features { frame.features.is_some() } else { frame.images.contains_key(&0) }
+}
+
 /// Reads an image that must have the size of its camera's.
 ///
 /// # Arguments
@@ -118,12 +183,9 @@ fn nearest_frame(sequence: &Sequence, at_s: f64) -> Result<(&Frame, f64)> {
     if !(0.0..=end_s).contains(&at_s) {
         bail!("--at {at_s}: {root} has frames from 0 to {end_s:.3} s");
     }
-    let with_features = sequence.has_features();
-    let is_usable = |frame: &&Frame| {
-        if with_features { frame.features.is_some() } else { frame.images.contains_key(&0) }
-    };
+    let is_usable = usable(sequence);
     let distance = |frame: &&Frame| (seconds(frame) - at_s).abs();
-    let usable = sequence.frames.iter().filter(is_usable);
+    let usable = sequence.frames.iter().filter(|frame| is_usable(frame));
     let nearest = usable.min_by(|a, b| distance(a).total_cmp(&distance(b)));
     let frame = nearest.with_context(|| format!("{root} has neither features nor images of camera 0"))?;
     Ok((frame, seconds(frame)))

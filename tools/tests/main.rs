@@ -31,6 +31,8 @@ mod old_spellings;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod printed;
 mod rendered_images;
+#[cfg(all(unix, feature = "releases"))]
+mod review;
 #[cfg(unix)]
 mod scratch;
 mod simulate_evaluate_plot;

@@ -33,6 +33,12 @@ pub struct Event {
     pub accepted: bool,
     /// Why it was not; empty where it was.
     pub reason: String,
+    /// Normalized innovation squared of the update, whether it was accepted or not; `None` where none was computed.
+    #[serde(default)]
+    pub nis: Option<f64>,
+    /// Its degrees of freedom.
+    #[serde(default)]
+    pub nis_degrees: Option<usize>,
 }
 
 impl Event {
@@ -52,6 +58,8 @@ impl Event {
             relinearized: false,
             accepted: false,
             reason: String::new(),
+            nis: None,
+            nis_degrees: None,
         }
     }
 
@@ -64,6 +72,7 @@ impl Event {
         self.used = report.used;
         self.mean_reprojection_px = report.mean_reprojection_px;
         self.relinearized = report.relinearized;
+        (self.nis, self.nis_degrees) = report.nis.unzip();
         self.accepted = report.rejection.is_none();
         self.reason = report.rejection.as_ref().map_or_else(String::new, ToString::to_string);
     }

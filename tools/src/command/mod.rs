@@ -48,6 +48,8 @@ pub mod releases;
 #[cfg(not(feature = "releases"))]
 #[path = "no_releases.rs"]
 pub mod releases;
+#[cfg(feature = "releases")]
+pub mod review_release;
 pub mod run;
 pub mod simulate;
 #[cfg(feature = "releases")]
@@ -77,7 +79,8 @@ macro_rules! left_out {
         }
     )+};
 }
-left_out!(checkout: "releases", convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases");
+left_out!(checkout: "releases", convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases",
+    review_release: "releases");
 
 /// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
@@ -106,6 +109,8 @@ pub enum Command {
     ListReleases(releases::ListArgs),
     /// Say what is new, gone or moved between two releases, and where
     DiffReleases(releases::DiffArgs),
+    /// Say whether a candidate may be promoted: drives are localized in it and in the live release
+    ReviewRelease(Box<review_release::Args>),
     /// Make a candidate the next release
     PromoteRelease(stages::PromoteArgs),
     /// Reject a candidate
@@ -175,6 +180,7 @@ impl Command {
             Self::PublishMap(args) => publish_map::run(&args),
             Self::ListReleases(args) => releases::list(&args),
             Self::DiffReleases(args) => releases::diff(&args),
+            Self::ReviewRelease(args) => review_release::run(args.as_ref()),
             Self::PromoteRelease(args) => stages::promote(&args),
             Self::RejectRelease(args) => stages::reject(&args),
             Self::Rollback(args) => releases::roll_back(&args),

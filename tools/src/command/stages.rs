@@ -9,6 +9,7 @@ use serde_json::json;
 #[derive(Clone, Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  driftless publish-map --map city.db --to s3://bucket/city --stage candidate\n  \
+    driftless review-release s3://bucket/city --drive monday --out review\n  \
     driftless promote-release s3://bucket/city --author ada\n\n\
     The candidate becomes the newest release, if no other release came since it was published. One that was rejected is not\n\
     promoted: publish the map again."

@@ -1,0 +1,124 @@
+//! A drive in one map: as a robot, and image by image from cold.
+
+use crate::in_process::{LocalServer, gravity_in_own_frame};
+use crate::plotting::RunFiles;
+use crate::query_image::RecordedQueries;
+use anyhow::{Context as _, Result, bail};
+use evaluation::trajectory::StateRow;
+use geometry::PoseWithCovariance;
+use onboard::arguments::CalibrationArguments;
+use onboard::{Event, RobotArguments, run_robot};
+use protocol::MatchOutcome;
+use recognition::{LoadedMap, RecognitionOptions};
+use sensors::{CalibrationFiles, Recording, TruthRow};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Name of the map on the network of this process.
+const MAP: &str = "map";
+
+/// A recording with which maps are reviewed.
+pub struct Drive {
+    recording: PathBuf,
+    name: String,
+    files: CalibrationFiles,
+    robot: RobotArguments,
+    images: RecordedQueries,
+}
+
+/// A drive in one map.
+pub struct DriveRun {
+    pub(super) states: Vec<StateRow>,
+    pub(super) events: Vec<Event>,
+    /// Truth in the map's frame, where the recording has it.
+    pub(super) truth: Option<Vec<TruthRow>>,
+    /// Images that were localized without any prior.
+    pub(super) images: Vec<ColdImage>,
+}
+
+/// An image that was localized by itself.
+pub(super) struct ColdImage {
+    pub(super) stamp_ns: i64,
+    pub(super) outcome: MatchOutcome,
+    /// The IMU in the map, where the image was localized.
+    pub(super) global_from_imu: Option<PoseWithCovariance>,
+}
+
+impl Drive {
+    /// Reads the images of a recording.
+    ///
+    /// # Arguments
+    /// * `robot`: how it is run.
+    /// * `map`: names the extractor of the features.
+    /// * `period_s`: images are localized from cold at this distance, seconds.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or has neither images nor features.
+    pub fn read(
+        recording: &Path,
+        calibration: &CalibrationArguments,
+        robot: &RobotArguments,
+        map: &LoadedMap,
+        period_s: f64,
+    ) -> Result<Self> {
+        let mut robot = robot.clone();
+        robot.features = robot.features.or_of_map(&map.info().extractor);
+        let files = calibration.files();
+        let images = RecordedQueries::read(recording, &files, period_s, &robot.features)?;
+        let name = recording.display().to_string();
+        Ok(Self { recording: recording.to_owned(), name, files, robot, images })
+    }
+
+    /// The recording.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Localizes the drive in a map.
+    ///
+    /// # Arguments
+    /// * `out`: folder for what the robot writes.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, a folder that cannot be written, features of another extractor than the map's.
+    pub fn run_in(&self, map: &Arc<LoadedMap>, out: &Path) -> Result<DriveRun> {
+        let mut robot = self.robot.clone();
+        out.clone_into(&mut robot.out);
+        robot.gravity_in_own_frame = gravity_in_own_frame(map);
+        let recording = Recording::open_with(&self.recording, &self.files)?;
+        let server = LocalServer::start(vec![(MAP.to_owned(), Arc::clone(map))])?;
+        let link = server.link(MAP)?;
+        let outcome = run_robot(recording, &robot, Some(link.clone()), |_| {});
+        server.unlink(&link);
+        server.stop()?;
+        let outcome = outcome.with_context(|| self.name.clone())?;
+        if let Some(reason) = outcome.summary.ended_early {
+            bail!("{} ended early: {reason}", self.name);
+        }
+        let run = RunFiles::read(out, None, None)?;
+        let images = self.cold_images(map)?;
+        let truth = run.truth.map(|truth| truth.rows);
+        Ok(DriveRun { states: run.states, events: run.events.unwrap_or_default(), truth, images })
+    }
+
+    fn cold_images(&self, map: &LoadedMap) -> Result<Vec<ColdImage>> {
+        let (camera_from_imu, options) =
+            (self.images.imu_from_camera.inverse(), RecognitionOptions::default());
+        let mut images = Vec::new();
+        for (stamp_ns, request) in &self.images.queries {
+            let reply = map.localize(request, &options).with_context(|| self.name.clone())?;
+            let global_from_imu =
+                reply.fix.map(|fix| fix.global_from_camera.change_of_child(&camera_from_imu));
+            images.push(ColdImage { stamp_ns: *stamp_ns, outcome: reply.outcome, global_from_imu });
+        }
+        Ok(images)
+    }
+}
+
+impl DriveRun {
+    /// Positions in the plane of the map (m), where the drive was localized.
+    pub(super) fn path(&self) -> Vec<[f64; 2]> {
+        let poses = self.states.iter().filter_map(|state| state.global_from_imu.as_ref());
+        poses.map(|pose| [pose.pose.translation.x, pose.pose.translation.y]).collect()
+    }
+}

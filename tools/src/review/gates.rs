@@ -1,0 +1,214 @@
+//! What a candidate is refused for.
+
+use super::ReviewedDrive;
+use super::figures::{DriveFigures, ErrorFigures};
+use super::structure::Structure;
+use serde::Serialize;
+
+/// Errors to the truth that differ by less (m) are equal.
+const EQUAL_ERROR_M: f64 = 0.01;
+
+/// How much worse than the live release a candidate may be.
+#[derive(Clone, Debug, PartialEq, Serialize, clap::Args)]
+pub struct Gates {
+    /// Of the answers that update the robot in the live release, this part must do so in the candidate; one may always be missing
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.min_accepted, help_heading = GATES)]
+    pub min_accepted: f64,
+    /// Largest growth of the error to the truth, as a factor: one map's varies by a fifth from drive to drive
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::DEFAULT.max_error_growth, help_heading = GATES)]
+    pub max_error_growth: f64,
+    /// Largest NEES of the poses, and largest mean squared innovation per degree of freedom, where the live release has less: 1 is
+    /// consistent
+    #[arg(long, value_name = "NEES", default_value_t = Self::DEFAULT.max_nees, help_heading = GATES)]
+    pub max_nees: f64,
+    /// Largest distance between the poses in both, for a drive without truth, m
+    #[arg(long, value_name = "M", default_value_t = Self::DEFAULT.max_disagreement_m, help_heading = GATES)]
+    pub max_disagreement_m: f64,
+    /// So many more images than in the live release may be localized in a wrong place
+    #[arg(long, value_name = "N", default_value_t = Self::DEFAULT.max_wrong, help_heading = GATES)]
+    pub max_wrong: usize,
+    /// The first pose from cold may come so much later (95 % of the images), s
+    #[arg(long, value_name = "SECONDS", default_value_t = Self::DEFAULT.max_first_fix_s, help_heading = GATES)]
+    pub max_first_fix_s: f64,
+    /// This part more of the images, and of the map's views, may look like several places
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_ambiguous, help_heading = GATES)]
+    pub max_ambiguous: f64,
+    /// This part of the keyframes may move by more than the covariance that the live release states explains
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_unexplained, help_heading = GATES)]
+    pub max_unexplained: f64,
+    /// This part of the places of the live release, cubes of 10 m, may have no keyframe near any more
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_emptied, help_heading = GATES)]
+    pub max_emptied: f64,
+}
+
+const GATES: &str = "Gates";
+
+impl Gates {
+    const DEFAULT: Self = Self {
+        min_accepted: 0.95,
+        max_error_growth: 1.25,
+        max_nees: 2.0,
+        max_disagreement_m: 0.1,
+        max_wrong: 0,
+        max_first_fix_s: 2.0,
+        max_ambiguous: 0.05,
+        max_unexplained: 0.01,
+        max_emptied: 0.05,
+    };
+}
+
+impl Default for Gates {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// Why a candidate should not be promoted.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Refusal {
+    /// The switch of the gate.
+    pub gate: &'static str,
+    /// The drive; `None` for what concerns the map.
+    pub drive: Option<String>,
+    /// What was found and what is allowed; a sentence.
+    pub reason: String,
+}
+
+impl Gates {
+    /// What the maps themselves are refused for.
+    pub(super) fn structure(&self, structure: &Structure) -> Vec<Refusal> {
+        let mut refusals = Refusals { drive: None, all: Vec::new() };
+        let Structure { common_keyframes, unexplained, places, emptied_m, live, candidate, .. } = structure;
+        let allowed = |part: f64, of: usize| part * of as f64;
+        if unexplained.len() as f64 > allowed(self.max_unexplained, *common_keyframes) {
+            let largest = structure.difference.keyframes.motion.map_or(0.0, |motion| motion.largest_m);
+            refusals.add("--max-unexplained", format!(
+                "{} of {common_keyframes} keyframes moved by more than the covariance of the live map explains, by {largest:.2} m at most",
+                unexplained.len()
+            ));
+        }
+        if emptied_m.len() as f64 > allowed(self.max_emptied, *places) {
+            let [x, y, z] = emptied_m.first().copied().unwrap_or_default();
+            refusals.add("--max-emptied", format!(
+                "{} of {places} places of the live map have no keyframe near any more, one at ({x:.1}, {y:.1}, {z:.1}) m",
+                emptied_m.len()
+            ));
+        }
+        if candidate.aliased > live.aliased + self.max_ambiguous {
+            refusals.add(
+                "--max-ambiguous",
+                format!(
+                    "{:.0} % of the views could be of another place, {:.0} % in the live map",
+                    100.0 * candidate.aliased,
+                    100.0 * live.aliased
+                ),
+            );
+        }
+        refusals.all
+    }
+
+    /// What a drive is refused for.
+    pub(super) fn drive(&self, drive: &ReviewedDrive) -> Vec<Refusal> {
+        let ReviewedDrive { recording, live, candidate, .. } = drive;
+        let mut refusals = Refusals { drive: Some(recording.clone()), all: Vec::new() };
+        if live.accepted == 0 && candidate.accepted == 0 {
+            refusals.add(
+                "--drive",
+                "no answer of either map updated the robot: the drive says nothing about the candidate"
+                    .to_owned(),
+            );
+        }
+        self.answers(live, candidate, &mut refusals);
+        match (&live.errors, &candidate.errors) {
+            (Some(live), Some(candidate)) if candidate.is_to_truth => {
+                self.errors(live, candidate, &mut refusals);
+            }
+            (_, Some(errors)) if errors.largest_m > self.max_disagreement_m => {
+                refusals.add("--max-disagreement-m", format!(
+                    "poses differ from those in the live map by up to {:.3} m (RMS {:.3} m), at most {} m are allowed",
+                    errors.largest_m, errors.rmse_m, self.max_disagreement_m
+                ));
+            }
+            _ => {}
+        }
+        self.cold(live, candidate, &mut refusals);
+        refusals.all
+    }
+
+    fn answers(&self, live: &DriveFigures, candidate: &DriveFigures, refusals: &mut Refusals) {
+        let [accepted, of_live] = [candidate, live].map(|figures| figures.accepted);
+        if ((accepted + 1) as f64) < self.min_accepted * of_live as f64 {
+            refusals.add(
+                "--min-accepted",
+                format!(
+                    "{accepted} of {} answers updated the robot, {of_live} of {} in the live map",
+                    candidate.queries, live.queries
+                ),
+            );
+        }
+        let [innovation, of_live] = [candidate, live].map(|figures| figures.innovation.unwrap_or(0.0));
+        if innovation > self.max_nees && innovation > self.max_error_growth * of_live {
+            refusals.add("--max-nees", format!(
+                "answers contradict the robot's state: the mean squared innovation is {innovation:.1} a degree of freedom, {of_live:.1} in the live map"
+            ));
+        }
+    }
+
+    fn errors(&self, live: &ErrorFigures, candidate: &ErrorFigures, refusals: &mut Refusals) {
+        let limit = (self.max_error_growth * live.rmse_m).max(live.rmse_m + EQUAL_ERROR_M);
+        if candidate.rmse_m > limit {
+            refusals.add("--max-error-growth", format!(
+                "poses are off the truth by {:.3} m RMS and {:.3} m at most, {:.3} m and {:.3} m in the live map",
+                candidate.rmse_m, candidate.largest_m, live.rmse_m, live.largest_m
+            ));
+        }
+        let [nees, of_live] = [candidate, live].map(|errors| errors.nees.unwrap_or(0.0));
+        if nees > self.max_nees && nees > self.max_error_growth * of_live {
+            refusals.add("--max-nees", format!(
+                "poses are off the truth by more than they state: NEES {nees:.1}, {of_live:.1} in the live map"
+            ));
+        }
+    }
+
+    fn cold(&self, live: &DriveFigures, candidate: &DriveFigures, refusals: &mut Refusals) {
+        let (live, candidate) = (&live.cold, &candidate.cold);
+        if candidate.wrong > live.wrong + self.max_wrong {
+            refusals.add(
+                "--max-wrong",
+                format!(
+                    "{} of {} images are localized in a wrong place, {} in the live map",
+                    candidate.wrong, candidate.images, live.wrong
+                ),
+            );
+        }
+        if candidate.first_fix_p95_s > live.first_fix_p95_s + self.max_first_fix_s {
+            refusals.add("--max-first-fix-s", format!(
+                "a robot that starts is localized within {:.1} s (95 %), {:.1} s in the live map; {} of {} images are localized, {} in the live map",
+                candidate.first_fix_p95_s, live.first_fix_p95_s, candidate.localized, candidate.images, live.localized
+            ));
+        }
+        let [ambiguous, of_live] =
+            [candidate, live].map(|cold| cold.ambiguous as f64 / cold.images.max(1) as f64);
+        if ambiguous > of_live + self.max_ambiguous && candidate.ambiguous > live.ambiguous + 1 {
+            refusals.add(
+                "--max-ambiguous",
+                format!(
+                    "{} of {} images could be of several places, {} in the live map",
+                    candidate.ambiguous, candidate.images, live.ambiguous
+                ),
+            );
+        }
+    }
+}
+
+/// Refusals of one drive, or of the map.
+struct Refusals {
+    drive: Option<String>,
+    all: Vec<Refusal>,
+}
+
+impl Refusals {
+    fn add(&mut self, gate: &'static str, reason: String) {
+        self.all.push(Refusal { gate, drive: self.drive.clone(), reason });
+    }
+}
