@@ -124,11 +124,9 @@ mod tests {
                 assert_ne!(argument.get_long(), Some("sequence"), "{at}");
                 let names = argument.get_value_names().unwrap_or_default();
                 if names.iter().any(|name| name.split('|').any(|part| part == "REC")) {
-                    // One that the first argument was made of is a switch.
-                    assert!(
-                        argument.get_index() == Some(1) || argument.get_long() == Some("recording"),
-                        "{at}"
-                    );
+                    // One that the first argument was made of, and those that it is tried with, are switches.
+                    let is_beside = matches!(argument.get_long(), Some("recording" | "drive"));
+                    assert!(argument.get_index() == Some(1) || is_beside, "{at}");
                 }
                 if names.iter().any(|name| name == "DB") {
                     assert!(matches!(argument.get_long(), Some("map" | "to")), "{at}");
