@@ -9,19 +9,22 @@ use geometry::{Camera, Pose};
 use monitoring::{MonitoringServer, start_log};
 use onboard::arguments::{DEFAULT_ROBOT, LiveArguments, Source};
 use onboard::cli::Arguments;
-use onboard::native::NativeSensors;
+use onboard::native::{NativeSensors, NativeStreams};
 use onboard::outputs::RosOutput;
 use onboard::ros_camera_info::wait_for_cameras;
 use onboard::ros_mount::wait_for_base;
 use onboard::ros_sensors::{RosSensors, RosTopics};
 use onboard::stop::NetworkRuntime;
 use onboard::{
-    EndedLost, MapLink, OpeningLink, Outcome, RobotLink, RobotMetrics, StopSignal, progress, run_robot_until,
-    run_source_until, stdout,
+    EndedLost, MapLink, OpeningLink, Outcome, RobotArguments, RobotLink, RobotMetrics, StopSignal, progress,
+    run_robot_until, run_source_until, stdout,
 };
 use prometheus_client::registry::Registry;
 use sensors::live::{LiveSettings, LiveSource};
-use sensors::{Recording, SensorCalibration, read_rig_calibration, states_intrinsics};
+use sensors::{
+    CalibrationFiles, GnssIntake, Recording, SensorCalibration, WheelIntake, WheelReadings,
+    read_rig_calibration, states_intrinsics,
+};
 use std::net::SocketAddr;
 use std::path::Path;
 use std::process::ExitCode;
@@ -169,7 +172,7 @@ impl Input {
 
 impl RosInput {
     fn open(arguments: &Arguments, stop: &StopSignal, runtime: &NetworkRuntime) -> Result<Self> {
-        let topics = RosTopics::of(&arguments.calibration, &arguments.robot.wheels)?;
+        let topics = RosTopics::of(&arguments.calibration, &arguments.robot.wheels, &arguments.robot.gnss)?;
         let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
         // Faults of the files are reported before the session is opened.
         let from_files =
@@ -224,7 +227,17 @@ fn live_settings(
 }
 
 fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
-    let (calibration, settings) = live_settings(arguments, &[], &[])?;
+    let (calibration, mut settings) = live_settings(arguments, &[], &[])?;
+    let RobotArguments { wheels, gnss, .. } = &arguments.robot;
+    settings.wheels = wheels.is_expected(calibration.wheels.as_ref()).then_some(WheelReadings::Speeds);
+    settings.gnss = gnss.is_expected(calibration.gnss.as_ref());
+    let mut files = CalibrationFiles::default();
+    wheels.name_topic(&mut files)?;
+    let wanted = NativeStreams {
+        streams: LiveArguments::streams(&settings),
+        wheels: WheelIntake::new(calibration.wheels.as_ref(), &files),
+        gnss: GnssIntake::new(&gnss.live_sensor(calibration.gnss)?),
+    };
     let map = map_of(arguments)?;
     let robot = &arguments.robot.robot;
     let (inputs, mut source) = LiveSource::new(format!("live sensors of {robot}"), calibration, &settings);
@@ -234,8 +247,7 @@ fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntim
         let place = own.map_or_else(|| arguments.session.place(), |own| own.connect.join(", "));
         bail!("interrupted before {place} answered")
     };
-    let streams = LiveArguments::streams(&settings);
-    let sensors = NativeSensors::subscribe(&session, runtime.handle(), robot, &streams, &inputs)?;
+    let sensors = NativeSensors::subscribe(&session, runtime.handle(), robot, &wanted, &inputs)?;
     let (of_link, handle) = (session.clone(), runtime.handle().clone());
     let link = match map {
         // The sensors need no map server.

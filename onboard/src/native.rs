@@ -1,10 +1,15 @@
 //! Live sensors over Zenoh in Driftless' own form: see [`protocol::sensors`].
 
 use estimator::{ImuSample, TrackObservation};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use protocol::keys::{self, NameError};
-use protocol::sensors::{ImageHeader, SensorMessageError, TracksMessage, check_image_length, decode_imu};
+use protocol::sensors::{
+    ImageHeader, SensorMessageError, TracksMessage, check_image_length, decode_gnss, decode_imu,
+    decode_wheels,
+};
 use sensors::live::{LiveImage, LiveInputs, RawPixels, Stream};
+use sensors::{BaseKind, GnssIntake, GnssProblem, GnssSensor, WheelIntake, WheelProblem};
+use std::sync::{Mutex, PoisonError};
 use tokio::runtime::Handle;
 use vision::RawImage;
 use zenoh::pubsub::Subscriber;
@@ -36,6 +41,29 @@ enum Refusal {
     Encoding(String),
     #[error("a step of {0} bytes a row is too long")]
     Step(u64),
+    #[error(transparent)]
+    Wheels(#[from] WheelProblem),
+    #[error(transparent)]
+    Gnss(#[from] GnssProblem),
+}
+
+/// What a robot receives, and how it is taken in.
+#[derive(Clone, Debug)]
+pub struct NativeStreams {
+    /// The streams.
+    pub streams: Vec<Stream>,
+    /// The wheels.
+    pub wheels: WheelIntake,
+    /// The positions of GNSS.
+    pub gnss: GnssIntake,
+}
+
+impl NativeStreams {
+    /// Streams of which wheels are speeds of a differential drive, and positions in the frame of the map.
+    pub fn new(streams: Vec<Stream>) -> Self {
+        let wheels = WheelIntake::of(BaseKind::default(), None);
+        Self { streams, wheels, gnss: GnssIntake::new(&GnssSensor::default()) }
+    }
 }
 
 /// Subscriptions to the sensors of a robot, which end when this is dropped.
@@ -55,19 +83,30 @@ impl NativeSensors {
         session: &zenoh::Session,
         runtime: &Handle,
         robot: &str,
-        streams: &[Stream],
+        wanted: &NativeStreams,
         inputs: &LiveInputs,
     ) -> Result<Self, NativeError> {
         let mut subscribers = Vec::new();
-        for stream in streams {
+        for stream in &wanted.streams {
             let key = match *stream {
                 Stream::Camera(index) => keys::robot_camera(robot, index)?,
                 Stream::Tracks => keys::robot_tracks(robot)?,
+                Stream::Wheels => keys::robot_wheels(robot)?,
+                Stream::Gnss => keys::robot_gnss(robot)?,
                 _ => keys::robot_imu(robot)?,
             };
             let (stream, inputs) = (*stream, inputs.clone());
+            let (wheels, gnss) = (Mutex::new(wanted.wheels.clone()), wanted.gnss);
             let take = move |sample: Sample| {
-                if let Err(refusal) = hand_in(stream, &sample, &inputs) {
+                let handed_in = match stream {
+                    Stream::Wheels => {
+                        let mut wheels = wheels.lock().unwrap_or_else(PoisonError::into_inner);
+                        hand_in_wheels(&sample.payload().to_bytes(), &mut wheels, &inputs)
+                    }
+                    Stream::Gnss => hand_in_gnss(&sample.payload().to_bytes(), &gnss, &inputs),
+                    _ => hand_in(stream, &sample, &inputs),
+                };
+                if let Err(refusal) = handed_in {
                     inputs.refuse(stream, refusal);
                 }
             };
@@ -76,6 +115,25 @@ impl NativeSensors {
         }
         Ok(Self { _subscribers: subscribers })
     }
+}
+
+fn hand_in_wheels(payload: &[u8], intake: &mut WheelIntake, inputs: &LiveInputs) -> Result<(), Refusal> {
+    for message in decode_wheels(payload)? {
+        match intake.take(message.stamp_ns, &message.wheels)? {
+            Some(reading) => inputs.wheels(reading),
+            None => inputs.nothing(Stream::Wheels),
+        }
+    }
+    Ok(())
+}
+
+fn hand_in_gnss(payload: &[u8], intake: &GnssIntake, inputs: &LiveInputs) -> Result<(), Refusal> {
+    for message in decode_gnss(payload)? {
+        let sigmas = message.sigma.map(Vector3::from);
+        let covariance = sigmas.map(|sigmas| Matrix3::from_diagonal(&sigmas.component_mul(&sigmas)));
+        inputs.gnss(intake.take(message.stamp_ns, &Vector3::from(message.position), covariance)?);
+    }
+    Ok(())
 }
 
 fn hand_in(stream: Stream, sample: &Sample, inputs: &LiveInputs) -> Result<(), Refusal> {
@@ -127,6 +185,8 @@ fn image(header: &ImageHeader, bytes: Vec<u8>) -> Result<LiveImage, Refusal> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sensors::live::{LiveSettings, LiveSource};
+    use sensors::{Encoder, SensorCalibration, SensorEvent, SensorSource, WheelReadings};
 
     fn header(text: &str) -> ImageHeader {
         ImageHeader::decode(Some(text.as_bytes())).unwrap()
@@ -144,5 +204,30 @@ mod tests {
         assert!(unknown.to_string().contains("h264") && unknown.to_string().contains("mono8"), "{unknown}");
         let wide = header(r#"{"stamp_ns": 1, "encoding": "rgb8", "width": 4000000000, "height": 1}"#);
         assert!(image(&wide, Vec::new()).is_err());
+    }
+
+    #[test]
+    fn wheels_and_gnss_are_handed_in_as_readings() {
+        let mut settings = LiveSettings::images(&SensorCalibration::default());
+        (settings.wheels, settings.gnss) = (Some(WheelReadings::Speeds), true);
+        let (inputs, mut source) = LiveSource::new("test", SensorCalibration::default(), &settings);
+        let mut counts = WheelIntake::of(BaseKind::Differential, Some(Encoder::new(100.0, 8).unwrap()));
+        let rows = br#"[{"stamp_ns": 0, "wheels": [250, 3]}, {"stamp_ns": 100000000, "wheels": [4, 0]}]"#;
+        hand_in_wheels(rows, &mut counts, &inputs).unwrap();
+        let short = hand_in_wheels(br#"{"stamp_ns": 1, "wheels": [1]}"#, &mut counts, &inputs).unwrap_err();
+        assert!(short.to_string().contains("1 numbers, but a differential base has 2"), "{short}");
+        let intake = GnssIntake::new(&GnssSensor::default());
+        let fix = br#"{"stamp_ns": 100000000, "position": [1, 2, 3], "sigma": [0.5, 0.5, 1]}"#;
+        hand_in_gnss(fix, &intake, &inputs).unwrap();
+        let without = hand_in_gnss(br#"{"stamp_ns": 5, "position": [1, 2, 3]}"#, &intake, &inputs);
+        assert!(without.unwrap_err().to_string().contains("standard deviations"));
+        inputs.close();
+        let Some(SensorEvent::Wheels(reading)) = source.next().unwrap() else { panic!("wheels") };
+        let per_count = std::f64::consts::TAU / 100.0 / 0.1;
+        assert_eq!(reading.stamp_ns, 50_000_000);
+        assert!((reading.values[0] - 10.0 * per_count).abs() < 1e-9, "{reading:?}");
+        let Some(SensorEvent::Gnss(reading)) = source.next().unwrap() else { panic!("a position") };
+        assert_eq!((reading.position, reading.covariance[(2, 2)]), (Vector3::new(1.0, 2.0, 3.0), 1.0));
+        assert!(source.next().unwrap().is_none());
     }
 }

@@ -1,16 +1,16 @@
 //! Sensors that are ROS 2 topics.
 
-use crate::arguments::{CalibrationArguments, WheelArguments};
+use crate::arguments::{CalibrationArguments, GnssArguments, WheelArguments};
 use crate::ros_wheels::{RosJoints, RosWheels};
 use crate::topic_watch::TopicWatch;
 use anyhow::bail;
 use ros_messages::RosMessage;
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState};
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState, NavSatFix};
 use ros2::{Node, NodeOptions, Qos, Received, Reliability, RosError, Subscriber};
-use sensors::SplitImu;
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
-use sensors::ros::{JointReader, MovesSideways, NotMeasured, base_velocity, imu_sample};
+use sensors::ros::{JointReader, MovesSideways, NotMeasured, base_velocity, imu_sample, satellite_position};
+use sensors::{GnssIntake, GnssProblem, GnssSensor, SplitImu};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::JoinHandle;
@@ -20,6 +20,8 @@ use vision::RawImage;
 const IMU_QUEUE: usize = 10_000;
 /// Readings of the wheels that may wait to be handed in.
 const WHEEL_QUEUE: usize = 1000;
+/// Positions of GNSS that may wait to be handed in.
+const GNSS_QUEUE: usize = 100;
 /// Images that may wait to be handed in. Handing in takes microseconds; the source has a queue of its own.
 const IMAGE_QUEUE: usize = 10;
 /// Angular velocities that wait longer for the accelerometer are said to, nanoseconds.
@@ -40,6 +42,28 @@ pub struct RosTopics {
     pub cameras: Vec<String>,
     /// The wheels, if they are used.
     pub wheels: Option<RosWheels>,
+    /// GNSS, if it is used.
+    pub gnss: Option<RosGnss>,
+}
+
+/// The topic of a robot's GNSS.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RosGnss {
+    /// `sensor_msgs/NavSatFix`.
+    pub topic: String,
+    /// The frame that its positions are turned to.
+    pub sensor: GnssSensor,
+}
+
+impl RosGnss {
+    /// The topic that the switches name.
+    ///
+    /// # Errors
+    /// An origin that is no place on the earth.
+    fn of(arguments: &GnssArguments) -> anyhow::Result<Option<Self>> {
+        let Some(topic) = arguments.gnss_topic.clone() else { return Ok(None) };
+        Ok(Some(Self { topic, sensor: arguments.live_sensor(None)? }))
+    }
 }
 
 impl RosTopics {
@@ -47,7 +71,11 @@ impl RosTopics {
     ///
     /// # Errors
     /// A topic is missing.
-    pub fn of(arguments: &CalibrationArguments, wheels: &WheelArguments) -> anyhow::Result<Self> {
+    pub fn of(
+        arguments: &CalibrationArguments,
+        wheels: &WheelArguments,
+        gnss: &GnssArguments,
+    ) -> anyhow::Result<Self> {
         let (Some(imu), cameras) = (arguments.imu_topic.clone(), arguments.camera_topic.clone()) else {
             bail!("--imu-topic is missing: name the topic of sensor_msgs/Imu, for example /imu")
         };
@@ -56,8 +84,8 @@ impl RosTopics {
         }
         let accelerometer =
             arguments.accelerometer_topic.clone().filter(|accelerometer| *accelerometer != imu);
-        let wheels = RosWheels::of(wheels)?;
-        Ok(Self { imu, accelerometer, cameras, wheels })
+        let (wheels, gnss) = (RosWheels::of(wheels)?, RosGnss::of(gnss)?);
+        Ok(Self { imu, accelerometer, cameras, wheels, gnss })
     }
 
     /// Adapts the settings of the source to these topics: fewer topics are fewer cameras.
@@ -74,6 +102,7 @@ impl RosTopics {
         }
         settings.cameras = cameras.len();
         settings.wheels = self.wheels.as_ref().map(RosWheels::readings);
+        settings.gnss = self.gnss.is_some();
         Ok(())
     }
 }
@@ -123,6 +152,9 @@ impl RosSensors {
         }
         if let Some(wheels) = &topics.wheels {
             tasks.push(sources.hand_in_wheels(wheels).await?);
+        }
+        if let Some(gnss) = &topics.gnss {
+            tasks.push(sources.hand_in_gnss(gnss).await?);
         }
         tasks.push(sources.watch.start(Arc::clone(&node)));
         Ok(Self { tasks, _node: node })
@@ -181,6 +213,22 @@ impl Sources<'_> {
                 }))
             }
         }
+    }
+
+    /// Hands in the positions of GNSS. A receiver without one is no fault: there may be a roof above it.
+    async fn hand_in_gnss(&mut self, gnss: &RosGnss) -> Result<JoinHandle<()>, RosError> {
+        let RosGnss { topic, sensor } = gnss;
+        let messages = self.node.subscriber::<NavSatFix>(topic, Qos::sensor_data(), GNSS_QUEUE).await?;
+        let source = self.source::<NavSatFix>(topic, Stream::Gnss)?;
+        let intake = GnssIntake::new(sensor);
+        Ok(hand_in(messages, source, move |inputs, message: NavSatFix| {
+            let Ok(position) = satellite_position(&message) else {
+                inputs.nothing(Stream::Gnss);
+                return Ok(());
+            };
+            inputs.gnss(intake.take(position.stamp_ns, &position.geodetic, position.covariance)?);
+            Ok(())
+        }))
     }
 
     /// Hands in the readings of the IMU, or those of gyroscope and accelerometer united.
@@ -274,6 +322,8 @@ enum Unusable {
     NotMeasured(#[from] NotMeasured),
     #[error(transparent)]
     MovesSideways(#[from] MovesSideways),
+    #[error(transparent)]
+    Gnss(#[from] GnssProblem),
     #[error("nothing comes from the accelerometer, or its clock is another: see --accelerometer-topic")]
     NoAccelerometer,
     #[error("images are {0:?}: set the driver to mono8, rgb8 or bgr8, or use its compressed topic")]
@@ -289,190 +339,4 @@ fn raw_image(message: Image) -> Result<LiveImage, Unusable> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use ros_messages::builtin_interfaces::Time;
-    use ros_messages::std_msgs::Header;
-    use sensors::live::{FaultKind, LiveSource};
-    use sensors::{BaseKind, SensorEvent, SensorSource, WheelReadings};
-    use simulation::{SimulationOptions, simulate};
-    use std::time::{Duration, Instant};
-
-    const TIMEOUT: Duration = Duration::from_secs(20);
-
-    fn header(milliseconds: i64) -> Header {
-        let stamp = Time::from_nanoseconds(1_000_000_000_000 + milliseconds * 1_000_000).unwrap();
-        Header { stamp, frame_id: "sensor".into() }
-    }
-
-    fn imu(milliseconds: i64) -> Imu {
-        let linear_acceleration = [0.0, 0.0, 9.81].into();
-        Imu { header: header(milliseconds), linear_acceleration, ..Imu::default() }
-    }
-
-    fn image(milliseconds: i64, (width, height): (u32, u32), encoding: &str) -> Image {
-        let data = vec![milliseconds as u8; (width * height) as usize];
-        let encoding = encoding.to_owned();
-        Image { header: header(milliseconds), width, height, encoding, step: width, data, ..Image::default() }
-    }
-
-    /// The topics in a session of their own, and a node that publishes there.
-    async fn subscribed(topics: &RosTopics, inputs: &LiveInputs) -> (Node, RosSensors) {
-        let mut config = zenoh::Config::default();
-        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
-        config.insert_json5("listen/endpoints", "[]").unwrap();
-        let session = zenoh::open(config).await.unwrap();
-        let options = NodeOptions { name: "sensors".to_owned(), ..NodeOptions::default() };
-        let sensors = RosSensors::start(session.clone(), options, topics, inputs).await.unwrap();
-        (Node::new(session, NodeOptions::default()).await.unwrap(), sensors)
-    }
-
-    #[test]
-    fn gyroscope_and_accelerometer_of_two_topics_are_united() {
-        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
-        let options = SimulationOptions { duration_s: Some(1.0), ..SimulationOptions::default() };
-        let calibration = simulate(&options).unwrap().live.calibration().clone();
-        let (inputs, mut source) =
-            LiveSource::new("test", calibration.clone(), &LiveSettings::images(&calibration));
-        let topics = RosTopics {
-            imu: "/gyro".into(),
-            accelerometer: Some("/accel".into()),
-            cameras: vec!["/cam0/image_raw".into()],
-            wheels: None,
-        };
-        let (node, sensors) = runtime.block_on(async {
-            let (node, sensors) = subscribed(&topics, &inputs).await;
-            let gyroscope = node.publisher::<Imu>("/gyro", Qos::sensor_data()).await.unwrap();
-            let accelerometer = node.publisher::<Imu>("/accel", Qos::sensor_data()).await.unwrap();
-            for milliseconds in (0..200).step_by(5) {
-                let angular_velocity = [milliseconds as f64, 0.0, 0.0].into();
-                let header = header(milliseconds);
-                gyroscope.publish(&Imu { header, angular_velocity, ..Imu::default() }).await.unwrap();
-                if milliseconds % 10 == 0 {
-                    accelerometer.publish(&imu(milliseconds)).await.unwrap();
-                }
-            }
-            (node, sensors)
-        });
-        let begin = Instant::now();
-        let mut readings = Vec::new();
-        // The last one is behind the last specific force.
-        while readings.len() < 39 {
-            assert!(begin.elapsed() < TIMEOUT, "{} readings, {:?}", readings.len(), source.live());
-            if let SensorEvent::Imu(reading) = source.next().unwrap().expect("no end") {
-                readings.push(reading);
-            }
-        }
-        for (number, reading) in readings.iter().enumerate() {
-            assert_eq!((reading.gyroscope.x, reading.accelerometer.z), (5.0 * number as f64, 9.81));
-        }
-        drop((sensors, node));
-    }
-
-    #[test]
-    fn topics_become_the_events_of_a_live_source_and_what_is_wrong_is_named() {
-        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
-        let options = SimulationOptions { duration_s: Some(1.0), ..SimulationOptions::default() };
-        let mut calibration = simulate(&options).unwrap().live.calibration().clone();
-        calibration.cameras.truncate(1);
-        let size = (calibration.cameras[0].camera.width, calibration.cameras[0].camera.height);
-        let (inputs, mut source) =
-            LiveSource::new("test", calibration.clone(), &LiveSettings::images(&calibration));
-        let topics = RosTopics {
-            imu: "/imu".into(),
-            accelerometer: None,
-            cameras: vec!["/cam0/image_raw".into()],
-            wheels: None,
-        };
-        let (node, sensors, images) = runtime.block_on(async {
-            let (node, sensors) = subscribed(&topics, &inputs).await;
-            let readings = node.publisher::<Imu>("/imu", Qos::reliable()).await.unwrap();
-            let images = node.publisher::<Image>("/cam0/image_raw", Qos::sensor_data()).await.unwrap();
-            images.publish(&image(1, size, "h264")).await.unwrap();
-            for milliseconds in (0..200).step_by(5) {
-                readings.publish(&imu(milliseconds)).await.unwrap();
-            }
-            images.publish(&image(50, size, "mono8")).await.unwrap();
-            (node, sensors, images)
-        });
-        let begin = Instant::now();
-        let (mut stamps, mut frame) = (Vec::new(), None);
-        while stamps.len() < 40 || frame.is_none() {
-            assert!(begin.elapsed() < TIMEOUT, "{} readings, {frame:?}, {:?}", stamps.len(), source.live());
-            match source.next().unwrap().expect("no end") {
-                SensorEvent::Imu(reading) => stamps.push(reading.stamp_ns),
-                SensorEvent::Frame(new) => frame = Some(new),
-                _ => {}
-            }
-        }
-        assert!(stamps.is_sorted() && stamps[0] == header(0).stamp.to_nanoseconds());
-        assert_eq!(frame.unwrap().stamp_ns, header(50).stamp.to_nanoseconds());
-        // The token of a publisher may be seen later than its messages.
-        while source.live().unwrap().best_effort.is_empty() && begin.elapsed() < TIMEOUT {
-            runtime.block_on(images.publish(&image(100, size, "h264"))).unwrap();
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        let report = source.live().unwrap();
-        assert_eq!(report.best_effort, [Stream::Camera(0)], "the readings are reliable");
-        let faults = report.faults;
-        let unreadable =
-            faults.iter().find(|fault| fault.kind == FaultKind::Unreadable).expect("the encoding is named");
-        assert!(unreadable.to_string().contains("h264"), "{unreadable}");
-        drop((sensors, node));
-    }
-
-    #[test]
-    fn wheels_come_from_the_velocity_of_the_base_or_from_joints() {
-        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
-        let options = SimulationOptions { duration_s: Some(1.0), ..SimulationOptions::default() };
-        let calibration = simulate(&options).unwrap().live.calibration().clone();
-        let joints = RosWheels::Joints("/wheels".into(), RosJoints::default());
-        for (wheels, kind) in [
-            (RosWheels::Base("/wheels".into(), BaseKind::Differential), WheelReadings::BaseVelocities),
-            (joints, WheelReadings::Speeds),
-        ] {
-            let topics = RosTopics {
-                imu: "/imu".into(),
-                accelerometer: None,
-                cameras: vec!["/cam0/image_raw".into()],
-                wheels: Some(wheels),
-            };
-            let mut settings = LiveSettings::images(&calibration);
-            topics.adapt(&mut settings).unwrap();
-            let (inputs, mut source) = LiveSource::new("test", calibration.clone(), &settings);
-            assert_eq!(source.contents().wheels, Some(kind));
-            let kept = runtime.block_on(async {
-                let (node, sensors) = subscribed(&topics, &inputs).await;
-                let bases = node.publisher::<Odometry>("/wheels", Qos::reliable()).await.unwrap();
-                let states = node.publisher::<JointState>("/wheels", Qos::reliable()).await.unwrap();
-                for milliseconds in (0..200).step_by(10) {
-                    let mut base = Odometry { header: header(milliseconds), ..Odometry::default() };
-                    (base.twist.twist.linear.x, base.twist.twist.angular.z) = (1.0, 0.5);
-                    bases.publish(&base).await.unwrap();
-                    let name = vec!["left_wheel".to_owned(), "right_wheel".to_owned()];
-                    let (header, velocity) = (header(milliseconds), vec![0.75, 1.25]);
-                    states
-                        .publish(&JointState { header, name, velocity, ..Default::default() })
-                        .await
-                        .unwrap();
-                    let other = JointState { name: vec!["arm".to_owned()], ..JointState::default() };
-                    states.publish(&other).await.unwrap();
-                }
-                (node, sensors, bases, states)
-            });
-            let begin = Instant::now();
-            let mut readings = Vec::new();
-            while readings.len() < 20 {
-                assert!(begin.elapsed() < TIMEOUT, "{kind:?}: {} readings", readings.len());
-                if let SensorEvent::Wheels(reading) = source.next().unwrap().expect("no end") {
-                    readings.push(reading);
-                }
-            }
-            for (number, reading) in readings.iter().enumerate() {
-                assert_eq!(reading.stamp_ns, header(10 * number as i64).stamp.to_nanoseconds());
-                assert_eq!(reading.values[..2], [0.75, 1.25]);
-            }
-            drop(kept);
-        }
-    }
-}
+mod tests;

@@ -6,7 +6,7 @@
 //! | [`cell_match`], [`cell_localize`], [`cell_keyframe`] | queryable, for servers of other cells of the map |
 //! | [`map_changes`] | publisher |
 //! | [`robot_pose`], [`robot_odometry`], [`robot_odometry_predicted`], [`robot_status`] | publisher |
-//! | [`robot_imu`], [`robot_camera`], [`robot_tracks`] | subscriber |
+//! | [`robot_imu`], [`robot_camera`], [`robot_tracks`], [`robot_wheels`], [`robot_gnss`] | subscriber |
 //! | [`robot`], [`map_server`], [`map_member`], [`cell_holder`], [`version_holder`] | liveliness |
 //!
 //! ```
@@ -249,6 +249,22 @@ pub fn robot_camera(robot: &str, index: usize) -> Result<String, NameError> {
 /// [`NameError`] if the name cannot be part of a key.
 pub fn robot_tracks(robot: &str) -> Result<String, NameError> {
     key("robot", robot, "/sensors/tracks")
+}
+
+/// `robot/{robot}/sensors/wheels`: [`crate::sensors::WheelMessage`]s.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_wheels(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/sensors/wheels")
+}
+
+/// `robot/{robot}/sensors/gnss`: [`crate::sensors::GnssMessage`]s.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_gnss(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/sensors/gnss")
 }
 
 /// `robot/{robot}`: liveliness of a robot.

@@ -5,6 +5,8 @@
 //! | `robot/{robot}/sensors/imu` | JSON: one [`ImuMessage`] or a list of them | none |
 //! | `robot/{robot}/sensors/cam0`, `cam1` | the bytes of the image | JSON: [`ImageHeader`] |
 //! | `robot/{robot}/sensors/tracks` | JSON: [`TracksMessage`] | none |
+//! | `robot/{robot}/sensors/wheels` | JSON: one [`WheelMessage`] or a list of them | none |
+//! | `robot/{robot}/sensors/gnss` | JSON: one [`GnssMessage`] or a list of them | none |
 //!
 //! Unknown fields are ignored. Lengths are checked before anything is parsed; whether stamps and values make sense is the
 //! reader's to judge.
@@ -25,7 +27,7 @@ use crate::validate::{InvalidField, Validate};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// Longest payload of an IMU message: several thousand readings.
+/// Longest payload of a message of the IMU, of wheels or of GNSS: several thousand readings.
 pub const MAX_IMU_BYTES: usize = 1 << 20;
 /// Longest header of an image.
 pub const MAX_HEADER_BYTES: usize = 4096;
@@ -77,6 +79,27 @@ pub struct ImuMessage {
     pub accelerometer: [f64; 3],
 }
 
+/// A reading of the wheels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WheelMessage {
+    /// Time on the IMU's clock, nanoseconds.
+    pub stamp_ns: i64,
+    /// Of the wheels as the base has them: rad/s, or what their encoders counted; of a steering its angle, rad.
+    pub wheels: Vec<f64>,
+}
+
+/// A position by satellites.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GnssMessage {
+    /// Time on the IMU's clock, nanoseconds.
+    pub stamp_ns: i64,
+    /// x, y, z in the frame of the map, metres; or latitude, longitude (deg) and altitude (m), where the robot has an origin.
+    pub position: [f64; 3],
+    /// Its standard deviations along the axes, metres, where the receiver states them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<[f64; 3]>,
+}
+
 /// What the bytes of an image are.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImageHeader {
@@ -112,7 +135,44 @@ pub struct TracksMessage {
 /// # Errors
 /// [`SensorMessageError`]: too long, or not as documented (NaN is not JSON).
 pub fn decode_imu(payload: &[u8]) -> Result<Vec<ImuMessage>, SensorMessageError> {
-    let what = "the message of the IMU";
+    one_or_more("the message of the IMU", payload)
+}
+
+/// Reads the payload of a message of the wheels.
+///
+/// # Errors
+/// [`SensorMessageError`]: too long, or not as documented (NaN is not JSON).
+///
+/// ```
+/// use protocol::sensors::decode_wheels;
+/// let both = br#"[{"stamp_ns": 5000000, "wheels": [7.5, 7.6]}, {"stamp_ns": 25000000, "wheels": [7.4, 7.6]}]"#;
+/// assert_eq!(decode_wheels(both)?[1].wheels, [7.4, 7.6]);
+/// # Ok::<(), protocol::sensors::SensorMessageError>(())
+/// ```
+pub fn decode_wheels(payload: &[u8]) -> Result<Vec<WheelMessage>, SensorMessageError> {
+    one_or_more("the message of the wheels", payload)
+}
+
+/// Reads the payload of a message of GNSS.
+///
+/// # Errors
+/// [`SensorMessageError`]: too long, or not as documented (NaN is not JSON).
+///
+/// ```
+/// use protocol::sensors::decode_gnss;
+/// let one = br#"{"stamp_ns": 5000000, "position": [48.26, 11.67, 520.0], "sigma": [0.5, 0.5, 1.0]}"#;
+/// assert_eq!(decode_gnss(one)?[0].sigma, Some([0.5, 0.5, 1.0]));
+/// # Ok::<(), protocol::sensors::SensorMessageError>(())
+/// ```
+pub fn decode_gnss(payload: &[u8]) -> Result<Vec<GnssMessage>, SensorMessageError> {
+    one_or_more("the message of GNSS", payload)
+}
+
+/// A reading, or a list of them.
+fn one_or_more<T: DeserializeOwned>(
+    what: &'static str,
+    payload: &[u8],
+) -> Result<Vec<T>, SensorMessageError> {
     let is_list = payload.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[');
     if is_list {
         json(what, payload, MAX_IMU_BYTES)
@@ -196,6 +256,8 @@ mod tests {
         #[test]
         fn any_bytes_are_a_message_or_an_error(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             let _ = decode_imu(&bytes);
+            let _ = decode_wheels(&bytes);
+            let _ = decode_gnss(&bytes);
             let _ = ImageHeader::decode(Some(&bytes));
             let _ = TracksMessage::decode(&bytes);
         }

@@ -1,7 +1,7 @@
 //! A robot with live sensors over Zenoh, beside the same robot with the recording.
 
 use geometry::pose::Pose;
-use onboard::native::NativeSensors;
+use onboard::native::{NativeSensors, NativeStreams};
 use onboard::{Outcome, RobotLink, StopSignal, run_robot, run_source_until};
 use protocol::sensors::decode_imu;
 use protocol::{RobotOdometry, keys};
@@ -44,8 +44,14 @@ fn live(
         LiveFrames::Images => vec![Stream::Imu, Stream::Camera(0), Stream::Camera(1)],
         _ => vec![Stream::Imu, Stream::Tracks],
     };
-    let subscribed =
-        NativeSensors::subscribe(&robot.session, robot.runtime.handle(), ROBOT, &streams, &inputs).unwrap();
+    let subscribed = NativeSensors::subscribe(
+        &robot.session,
+        robot.runtime.handle(),
+        ROBOT,
+        &NativeStreams::new(streams),
+        &inputs,
+    )
+    .unwrap();
     let (arrivals, third) = (Arc::new(Mutex::new(Arrivals::default())), Client::connect(server.endpoint()));
     let listeners =
         [keys::robot_imu(ROBOT).unwrap(), keys::robot_odometry_predicted(ROBOT).unwrap()].map(|key| {

@@ -5,7 +5,7 @@
 
 use geometry::{Pose, rotation};
 use nalgebra::Vector3;
-use onboard::native::NativeSensors;
+use onboard::native::{NativeSensors, NativeStreams};
 use onboard::{Outcome, RobotLink, StopSignal, run_source_until};
 use protocol::sensors::ImageHeader;
 use protocol::{Format, RobotState, RobotStatus, keys};
@@ -52,8 +52,13 @@ impl Robot {
         };
         let mut streams = vec![Stream::Imu, frames];
         streams.extend((frames == Stream::Camera(0)).then_some(Stream::Camera(1)));
-        let subscribed =
-            NativeSensors::subscribe(&link.session, link.runtime.handle(), ROBOT, &streams, &inputs);
+        let subscribed = NativeSensors::subscribe(
+            &link.session,
+            link.runtime.handle(),
+            ROBOT,
+            &NativeStreams::new(streams),
+            &inputs,
+        );
         let statuses = Statuses::default();
         let heard = Arc::clone(&statuses);
         let take = move |sample: zenoh::sample::Sample| {

@@ -48,7 +48,8 @@ fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<G
     settings.max_waiting_frames = 1000;
     let (inputs, mut source) = LiveSource::new("test", calibration, &settings);
     let cameras = (0..2).map(|camera| format!("/cam{camera}/image_raw{suffix}")).collect();
-    let topics = RosTopics { imu: "/imu0".to_owned(), accelerometer: None, cameras, wheels: None };
+    let topics =
+        RosTopics { imu: "/imu0".to_owned(), accelerometer: None, cameras, wheels: None, gnss: None };
     let node = |name: &str| NodeOptions { name: name.to_owned(), ..NodeOptions::default() };
     let session = robot.session.clone();
     let sensors =

@@ -4,7 +4,7 @@
 
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
-use onboard::native::NativeSensors;
+use onboard::native::{NativeSensors, NativeStreams};
 use sensors::live::{LiveSettings, LiveSource, Stream};
 use sensors::{CameraSensor, ImuNoise, ImuSensor, SensorCalibration, SensorEvent, SensorSource};
 use std::process::Command;
@@ -45,9 +45,15 @@ fn the_documented_driver_feeds_a_robot() {
     let robot = Client::open(&[&endpoint], &[]);
     let settings = LiveSettings::images(&calibration());
     let (inputs, mut source) = LiveSource::new("python", calibration(), &settings);
-    let streams = [Stream::Imu, Stream::Camera(0)];
-    let subscribed =
-        NativeSensors::subscribe(&robot.session, robot.runtime.handle(), "cart7", &streams, &inputs).unwrap();
+    let streams = vec![Stream::Imu, Stream::Camera(0)];
+    let subscribed = NativeSensors::subscribe(
+        &robot.session,
+        robot.runtime.handle(),
+        "cart7",
+        &NativeStreams::new(streams),
+        &inputs,
+    )
+    .unwrap();
     let mut script = Command::new(&python)
         .args([SCRIPT, "--robot", "cart7", "--connect", &endpoint, "--seconds", "3", "--size", "64x48"])
         .spawn()

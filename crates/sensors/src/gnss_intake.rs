@@ -1,4 +1,4 @@
-//! Positions of GNSS as they are taken in, be it from a folder or a bag: in the frame of the map, with a covariance.
+//! Positions of GNSS as they are taken in, be it from a folder, a bag or live: in the frame of the map, with a covariance.
 
 use crate::{GnssReading, GnssSensor};
 use geometry::{EnuFrame, Geodetic};
@@ -9,7 +9,8 @@ const MAX_DISTANCE_M: f64 = 1e5;
 
 /// Why a position cannot be taken in.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub(crate) enum GnssProblem {
+#[non_exhaustive]
+pub enum GnssProblem {
     /// The columns are no latitude, longitude and altitude.
     #[error(
         "it is no latitude, longitude and altitude, which sensor.yaml says by its origin: write x, y, z in the frame of the map and no origin"
@@ -32,20 +33,26 @@ pub(crate) enum GnssProblem {
 
 /// From positions as they are recorded to those in the frame of the map.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct GnssIntake {
+pub struct GnssIntake {
     frame: Option<EnuFrame>,
     sigma_m: Option<Vector3<f64>>,
 }
 
 impl GnssIntake {
-    pub(crate) fn new(sensor: &GnssSensor) -> Self {
+    /// As the calibration of the antenna states it.
+    pub fn new(sensor: &GnssSensor) -> Self {
         Self { frame: sensor.origin.as_ref().map(EnuFrame::at), sigma_m: sensor.sigma_m }
     }
 
+    /// The reading of a position.
+    ///
     /// # Arguments
     /// * `position`: in the frame of the map, or latitude, longitude and altitude.
     /// * `covariance`: east, north and up, m^2, where it is stated.
-    pub(crate) fn take(
+    ///
+    /// # Errors
+    /// [`GnssProblem`].
+    pub fn take(
         &self,
         stamp_ns: i64,
         position: &Vector3<f64>,

@@ -112,6 +112,7 @@ pub use euroc::{
 };
 pub use frame::{Frame, ImageData, StoredImage};
 pub use geometry::CameraGroup;
+pub use gnss_intake::{GnssIntake, GnssProblem};
 pub use gravity::direction_of_gravity;
 pub use imu_check::{ImuCheck, ImuUnitError};
 pub use imu_units::ImuUnits;

@@ -4,7 +4,7 @@ use anyhow::{Result, bail, ensure};
 use clap::Args;
 use estimator::GnssConfig;
 use geometry::Geodetic;
-use sensors::{CalibrationFiles, Contents};
+use sensors::{CalibrationFiles, Contents, GnssSensor};
 
 /// Heading of these switches in `--help`.
 const HEADING: &str = "GNSS";
@@ -12,12 +12,12 @@ const HEADING: &str = "GNSS";
 /// The antenna of GNSS.
 #[derive(Args, Clone, Debug, Default)]
 pub struct GnssArguments {
-    /// Topic of GNSS in a bag (sensor_msgs/NavSatFix) [default: none]
+    /// Topic of GNSS (sensor_msgs/NavSatFix) in a bag, or with --source ros2 [default: none]
     #[arg(long, value_name = "TOPIC", requires = "gnss_origin", help_heading = HEADING)]
     pub gnss_topic: Option<String>,
-    /// Origin of the frame of the positions of --gnss-topic, which is that of the map: degrees, degrees, metres above the ellipsoid
-    #[arg(long, value_name = "LAT,LON,ALT", value_delimiter = ',', allow_hyphen_values = true, requires = "gnss_topic",
-        help_heading = HEADING)]
+    /// Origin of the frame of the positions of --gnss-topic, or of --source native, which is that of the map: degrees, degrees, metres
+    /// above the ellipsoid
+    #[arg(long, value_name = "LAT,LON,ALT", value_delimiter = ',', allow_hyphen_values = true, help_heading = HEADING)]
     pub gnss_origin: Vec<f64>,
     /// Where the antenna is in the frame of the IMU, metres [default: that of gnss0/sensor.yaml, or of a bag's /tf_static]
     ///
@@ -40,10 +40,22 @@ impl GnssArguments {
     /// The origin is no place on the earth.
     pub fn name_topic(&self, files: &mut CalibrationFiles) -> Result<()> {
         files.gnss_topic.clone_from(&self.gnss_topic);
-        if self.gnss_origin.is_empty() {
-            return Ok(());
-        }
+        files.gnss_origin = self.origin()?;
+        let is_of_topic = files.gnss_origin.is_none() || files.gnss_topic.is_some();
+        ensure!(
+            is_of_topic,
+            "--gnss-origin needs --gnss-topic: a folder has its origin in gnss0/sensor.yaml"
+        );
+        Ok(())
+    }
+
+    /// `--gnss-origin`.
+    ///
+    /// # Errors
+    /// It is no place on the earth.
+    pub fn origin(&self) -> Result<Option<Geodetic>> {
         let origin = match *self.gnss_origin.as_slice() {
+            [] => return Ok(None),
             [latitude_deg, longitude_deg, altitude_m] => Geodetic { latitude_deg, longitude_deg, altitude_m },
             _ => bail!("--gnss-origin takes three numbers separated by commas"),
         };
@@ -51,8 +63,21 @@ impl GnssArguments {
             origin.is_valid(),
             "--gnss-origin takes latitude and longitude in degrees, and the altitude in metres"
         );
-        files.gnss_origin = Some(origin);
-        Ok(())
+        Ok(Some(origin))
+    }
+
+    /// How live positions are taken in: the origin of the switches, else that of the calibration.
+    ///
+    /// # Errors
+    /// As [`Self::origin`].
+    pub fn live_sensor(&self, calibrated: Option<GnssSensor>) -> Result<GnssSensor> {
+        let sensor = calibrated.unwrap_or_default();
+        Ok(GnssSensor { origin: self.origin()?.or(sensor.origin), ..sensor })
+    }
+
+    /// Whether a robot is told where its antenna is, by the switches or by its calibration.
+    pub fn is_expected(&self, calibrated: Option<&GnssSensor>) -> bool {
+        !self.no_gnss && (calibrated.is_some() || !self.gnss_antenna.is_empty())
     }
 
     /// The antenna that is used: that of the switches, else that of the settings; none for a source without positions, and where it is
@@ -67,8 +92,8 @@ impl GnssArguments {
         if !contents.gnss {
             ensure!(
                 self.gnss_antenna.is_empty() && self.gnss_correlation.is_none(),
-                "--gnss-antenna, --gnss-correlation: there are no positions; a folder has them in mav0/gnss0/data.csv, a bag in the topic \
-                 that --gnss-topic names"
+                "--gnss-antenna, --gnss-correlation: there are no positions; a folder has them in mav0/gnss0/data.csv, a bag or ROS 2 in the \
+                 topic that --gnss-topic names"
             );
             return Ok(None);
         }
@@ -113,6 +138,9 @@ mod tests {
         assert_eq!(files.gnss_origin.map(|origin| origin.latitude_deg), Some(-33.9));
         assert!(given("--gnss-topic /fix --gnss-origin 151.2,-33.9,40").name_topic(&mut files).is_err());
         assert!(Line::try_parse_from(["robot", "--gnss-topic", "/fix"]).is_err());
+        assert!(given("--gnss-origin 48,11,500").name_topic(&mut CalibrationFiles::default()).is_err());
+        let native = given("--gnss-origin 48,11,500").live_sensor(None).unwrap();
+        assert_eq!(native.origin.map(|origin| origin.altitude_m), Some(500.0));
     }
 
     #[test]

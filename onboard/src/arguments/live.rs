@@ -64,6 +64,8 @@ impl LiveArguments {
             LiveFrames::Images => (0..settings.cameras).map(Stream::Camera).collect(),
             _ => vec![Stream::Tracks],
         };
-        std::iter::once(Stream::Imu).chain(frames).collect()
+        let wheels = settings.wheels.map(|_| Stream::Wheels);
+        let gnss = settings.gnss.then_some(Stream::Gnss);
+        std::iter::once(Stream::Imu).chain(frames).chain(wheels).chain(gnss).collect()
     }
 }

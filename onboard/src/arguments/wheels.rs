@@ -85,8 +85,8 @@ impl WheelArguments {
             None => {
                 ensure!(
                     self.wheel_radius.is_empty(),
-                    "--wheel-radius: there are no readings of wheels; a folder has them in mav0/wheels0/data.csv, a bag in the topic \
-                     that --wheel-topic names"
+                    "--wheel-radius: there are no readings of wheels; a folder has them in mav0/wheels0/data.csv, a bag or ROS 2 in \
+                     the topic that --wheel-topic names"
                 );
                 return Ok(None);
             }
@@ -128,6 +128,11 @@ impl WheelArguments {
         files.wheel_base = self.wheel_base;
         files.wheel_encoder = self.encoder()?;
         Ok(())
+    }
+
+    /// Whether a robot is told what its wheels are, by the switches or by its calibration.
+    pub fn is_expected(&self, calibrated: Option<&WheelSensor>) -> bool {
+        !self.no_wheels && (calibrated.is_some() || !self.wheel_radius.is_empty())
     }
 
     /// The encoders that the switches state.

@@ -7,10 +7,12 @@ use super::lane::{Jump, Lane};
 use super::reorder::Reorder;
 use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
-use super::stream::Stream;
+use super::side_stream::SideStream;
+use super::stream::{Stream, check_stamp};
 use crate::imu_intake::ImuIntake;
 use crate::{
-    CameraSensor, ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading, camera_groups,
+    CameraSensor, GnssReading, ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading,
+    camera_groups,
 };
 use protocol::FeatureSet;
 use std::collections::{BTreeMap, VecDeque};
@@ -21,16 +23,13 @@ use std::time::Duration;
 const MAX_WAITING_FOR_IMU: usize = 40;
 /// Readings that wait for the estimator: 80 minutes at 200 Hz, 60 MB. Beyond, the reader is taken to be gone.
 const MAX_READINGS: usize = 1 << 20;
-/// Readings of the wheels that wait for the estimator, 100 s at 100 Hz; beyond, the oldest are left out.
-const MAX_WHEEL_READINGS: usize = 10_000;
-/// Stamps are nanoseconds since 1970 or since a start; later ones than in the year 2096 are mistakes.
-const STAMPS_NS: std::ops::RangeInclusive<i64> = 0..=4_000_000_000_000_000_000;
 
 /// What is ready.
 #[derive(Debug, PartialEq)]
 pub(super) enum Ready {
     Imu(ImuSample),
     Wheels(WheelReading),
+    Gnss(GnssReading),
     Frame(i64, PendingFrame),
 }
 
@@ -45,7 +44,8 @@ pub(super) struct LiveBuffer {
     imu: Lane<ImuSample>,
     cameras: Vec<Lane<LiveImage>>,
     tracks: Option<Lane<PendingFrame>>,
-    wheels: Option<Lane<WheelReading>>,
+    wheels: Option<SideStream<WheelReading>>,
+    gnss: Option<SideStream<GnssReading>>,
     /// Of each camera.
     repetitions: Vec<Repetition>,
     newest_jump: Option<Jump>,
@@ -53,7 +53,6 @@ pub(super) struct LiveBuffer {
     assembly: Assembly,
     /// In order of time, not returned yet.
     readings: VecDeque<ImuSample>,
-    wheel_readings: VecDeque<WheelReading>,
     frames: VecDeque<(i64, PendingFrame)>,
     /// Time of the newest reading in order.
     imu_until_ns: i64,
@@ -87,12 +86,12 @@ impl LiveBuffer {
             repetitions: cameras.iter().map(|_| Repetition::default()).collect(),
             cameras,
             tracks,
-            wheels: settings.wheels.map(|_| Lane::new(Stream::Wheels, None)),
+            wheels: settings.wheels.map(|_| SideStream::new(Stream::Wheels)),
+            gnss: settings.gnss.then(|| SideStream::new(Stream::Gnss)),
             newest_jump: None,
             reorder: Reorder::new(),
             assembly: Assembly::new(groups, settings.pair_tolerance_ns),
             readings: VecDeque::new(),
-            wheel_readings: VecDeque::new(),
             frames: VecDeque::new(),
             imu_until_ns: i64::MIN,
             faults: FaultLog::default(),
@@ -123,7 +122,7 @@ impl LiveBuffer {
             let problem = "readings are not finite, and are not used; check the sensor".to_owned();
             return self.faults.note(Stream::Imu, FaultKind::NotFinite, now, problem);
         }
-        if !self.is_stamp(Stream::Imu, reading.stamp_ns, now) {
+        if !check_stamp(Stream::Imu, reading.stamp_ns, now, &mut self.faults) {
             return;
         }
         let message = (reading.stamp_ns, reading);
@@ -136,25 +135,17 @@ impl LiveBuffer {
         self.sort_readings(now);
     }
 
-    /// Takes a reading of the wheels. They come out as they come in: the estimator knows which it waits for.
+    /// Takes a reading of the wheels.
     pub(super) fn wheels(&mut self, reading: WheelReading, now: Duration) {
-        let Some(lane) = &mut self.wheels else { return };
-        lane.arrived(now);
-        if !reading.is_finite() {
-            let problem =
-                "readings of the wheels are not finite, and are not used; check the encoders".to_owned();
-            return self.faults.note(Stream::Wheels, FaultKind::NotFinite, now, problem);
+        if let Some(wheels) = &mut self.wheels {
+            wheels.take(reading, now, &mut self.newest_jump, &mut self.faults);
         }
-        if !self.is_stamp(Stream::Wheels, reading.stamp_ns, now) {
-            return;
-        }
-        let Some(lane) = &mut self.wheels else { return };
-        let message = (reading.stamp_ns, reading);
-        for (stamp_ns, reading) in lane.admit(message, now, &mut self.newest_jump, &mut self.faults) {
-            if self.wheel_readings.len() == MAX_WHEEL_READINGS {
-                self.wheel_readings.pop_front();
-            }
-            self.wheel_readings.push_back(WheelReading { stamp_ns, ..reading });
+    }
+
+    /// Takes a position of GNSS.
+    pub(super) fn gnss(&mut self, reading: GnssReading, now: Duration) {
+        if let Some(gnss) = &mut self.gnss {
+            gnss.take(reading, now, &mut self.newest_jump, &mut self.faults);
         }
     }
 
@@ -164,7 +155,7 @@ impl LiveBuffer {
         let Some(lane) = self.cameras.get_mut(camera) else { return };
         let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns + self.stamp_shifts_ns[camera]);
         lane.arrived(now);
-        if !self.is_stamp(stream, stamp_ns, now) {
+        if !check_stamp(stream, stamp_ns, now, &mut self.faults) {
             return;
         }
         let Some(lane) = self.cameras.get_mut(camera) else { return };
@@ -194,7 +185,7 @@ impl LiveBuffer {
         let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns);
         let Some(lane) = &mut self.tracks else { return };
         lane.arrived(now);
-        if !self.is_stamp(Stream::Tracks, stamp_ns, now) {
+        if !check_stamp(Stream::Tracks, stamp_ns, now, &mut self.faults) {
             return;
         }
         let Some(lane) = &mut self.tracks else { return };
@@ -207,32 +198,33 @@ impl LiveBuffer {
 
     /// Notes a message that cannot be read.
     pub(super) fn refuse(&mut self, stream: Stream, problem: String, now: Duration) {
+        if self.arrived(stream, now) {
+            self.faults.note(stream, FaultKind::Unreadable, now, problem);
+        }
+    }
+
+    /// Notes that a message has arrived which measures nothing; `false` of a stream that is not expected.
+    pub(super) fn arrived(&mut self, stream: Stream, now: Duration) -> bool {
         match stream {
             Stream::Imu => self.imu.arrived(now),
             Stream::Camera(camera) => {
-                let Some(lane) = self.cameras.get_mut(camera) else { return };
+                let Some(lane) = self.cameras.get_mut(camera) else { return false };
                 lane.arrived(now);
             }
             Stream::Tracks => {
-                let Some(lane) = &mut self.tracks else { return };
+                let Some(lane) = &mut self.tracks else { return false };
                 lane.arrived(now);
             }
             Stream::Wheels => {
-                let Some(lane) = &mut self.wheels else { return };
-                lane.arrived(now);
+                let Some(wheels) = &mut self.wheels else { return false };
+                wheels.arrived(now);
+            }
+            Stream::Gnss => {
+                let Some(gnss) = &mut self.gnss else { return false };
+                gnss.arrived(now);
             }
         }
-        self.faults.note(stream, FaultKind::Unreadable, now, problem);
-    }
-
-    fn is_stamp(&mut self, stream: Stream, stamp_ns: i64, now: Duration) -> bool {
-        let is_stamp = STAMPS_NS.contains(&stamp_ns);
-        if !is_stamp {
-            let problem =
-                format!("a stamp of {stamp_ns} ns is no time since 1970; {} are not used", stream.noun());
-            self.faults.note(stream, FaultKind::WrongStamp, now, problem);
-        }
-        is_stamp
+        true
     }
 
     fn sort_readings(&mut self, now: Duration) {
@@ -291,8 +283,11 @@ impl LiveBuffer {
     pub(super) fn poll(&mut self, now: Duration) -> Option<Ready> {
         self.sort_readings(now);
         self.sort_frames(now);
-        if let Some(reading) = self.wheel_readings.pop_front() {
+        if let Some(reading) = self.wheels.as_mut().and_then(SideStream::pop) {
             return Some(Ready::Wheels(reading));
+        }
+        if let Some(reading) = self.gnss.as_mut().and_then(SideStream::pop) {
+            return Some(Ready::Gnss(reading));
         }
         let frame_ns = self.frames.front().map(|(stamp_ns, _)| *stamp_ns);
         let reading_ns = self.readings.front().map(|reading| reading.stamp_ns);
@@ -312,7 +307,8 @@ impl LiveBuffer {
         let states = std::iter::once(self.imu.state(now))
             .chain(self.cameras.iter().map(|lane| lane.state(now)))
             .chain(self.tracks.iter().map(|lane| lane.state(now)))
-            .chain(self.wheels.iter().map(|lane| lane.state(now)));
+            .chain(self.wheels.iter().map(|wheels| wheels.state(now)))
+            .chain(self.gnss.iter().map(|gnss| gnss.state(now)));
         states.flatten().chain(self.faults.active(now)).collect()
     }
 

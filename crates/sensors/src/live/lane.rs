@@ -3,7 +3,7 @@
 use super::clock::{Admitted, StreamClock};
 use super::fault::{FaultKind, FaultLog, LiveFault};
 use super::stream::Stream;
-use super::watch::StreamWatch;
+use super::watch::{SILENT, StreamWatch};
 use crate::stamps::CONFIRMING_NS;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,6 +13,8 @@ const RECENT: usize = 512;
 /// A jump of the IMU's clock is believed after it has lasted for so long; that of other streams later, so that they find it.
 const CONFIRM_IMU: Duration = Duration::from_nanos(CONFIRMING_NS as u64);
 const CONFIRM: Duration = Duration::from_millis(150);
+/// GNSS is silent after so long: receivers send a position a second, or fewer.
+const SILENT_GNSS: Duration = Duration::from_secs(5);
 /// Two streams jumped together if their jumps differ by less than this, nanoseconds.
 const SAME_JUMP_NS: i64 = 100_000_000;
 /// And if one came so soon after the other.
@@ -37,7 +39,8 @@ pub(super) struct Lane<T> {
 impl<T> Lane<T> {
     pub(super) fn new(stream: Stream, stated_hz: Option<f64>) -> Self {
         let confirm = if stream == Stream::Imu { CONFIRM_IMU } else { CONFIRM };
-        let (clock, watch) = (StreamClock::new(confirm), StreamWatch::new(stated_hz));
+        let silent = if stream == Stream::Gnss { SILENT_GNSS } else { SILENT };
+        let (clock, watch) = (StreamClock::new(confirm), StreamWatch::new(silent, stated_hz));
         Self { stream, clock, watch, recent: VecDeque::with_capacity(RECENT) }
     }
 

@@ -21,6 +21,7 @@ mod lane;
 mod reorder;
 mod repetition;
 mod settings;
+mod side_stream;
 mod source;
 mod stream;
 mod watch;

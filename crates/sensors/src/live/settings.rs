@@ -34,6 +34,8 @@ pub struct LiveSettings {
     pub imu_units: ImuUnits,
     /// What is expected of the wheels.
     pub wheels: Option<WheelReadings>,
+    /// Whether positions of GNSS are expected.
+    pub gnss: bool,
     /// Frames that may wait for the estimator, of each of several cameras that are triggered apart; beyond, the oldest is dropped.
     /// Five are a quarter of a second at 20 Hz.
     pub max_waiting_frames: usize,
@@ -50,6 +52,7 @@ impl LiveSettings {
             camera_offset_ns: 0,
             imu_units: ImuUnits::default(),
             wheels: None,
+            gnss: false,
             max_waiting_frames: 5,
         }
     }
@@ -69,6 +72,6 @@ impl LiveSettings {
             LiveFrames::Images => (true, false, false),
             LiveFrames::Tracks { features } => (false, true, features),
         };
-        Contents { frames: None, images, tracks, features, wheels: self.wheels, gnss: false }
+        Contents { frames: None, images, tracks, features, wheels: self.wheels, gnss: self.gnss }
     }
 }

@@ -7,8 +7,8 @@ use super::image::LiveImage;
 use super::settings::LiveSettings;
 use super::stream::Stream;
 use crate::{
-    Contents, Frame, ImuSample, PairCounts, SensorCalibration, SensorError, SensorEvent, SensorSource,
-    TrackObservation, WheelReading,
+    Contents, Frame, GnssReading, ImuSample, PairCounts, SensorCalibration, SensorError, SensorEvent,
+    SensorSource, TrackObservation, WheelReading,
 };
 use protocol::FeatureSet;
 use std::collections::BTreeMap;
@@ -63,6 +63,18 @@ impl LiveInputs {
     /// Hands in a reading of the wheels, where [`LiveSettings::wheels`] expects them.
     pub fn wheels(&self, reading: WheelReading) {
         self.shared.with(|buffer, now| buffer.wheels(reading, now));
+    }
+
+    /// Hands in a position of GNSS, where [`LiveSettings::gnss`] expects them.
+    pub fn gnss(&self, reading: GnssReading) {
+        self.shared.with(|buffer, now| buffer.gnss(reading, now));
+    }
+
+    /// Reports a message that measures nothing: a receiver without a position. The stream is not silent.
+    pub fn nothing(&self, stream: Stream) {
+        self.shared.with(|buffer, now| {
+            buffer.arrived(stream, now);
+        });
     }
 
     /// Hands in an image of a camera.
@@ -218,6 +230,7 @@ impl SensorSource for LiveSource {
             match self.wait() {
                 Ok(Some(Ready::Imu(reading))) => return Ok(Some(SensorEvent::Imu(reading))),
                 Ok(Some(Ready::Wheels(reading))) => return Ok(Some(SensorEvent::Wheels(reading))),
+                Ok(Some(Ready::Gnss(reading))) => return Ok(Some(SensorEvent::Gnss(reading))),
                 Ok(Some(Ready::Frame(stamp_ns, pending))) => {
                     if let Some(frame) = self.decode(stamp_ns, pending) {
                         self.last_return = Instant::now();

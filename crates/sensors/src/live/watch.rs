@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A stream is silent after so long without a message, or after [`SILENT_PERIODS`] where its rate is low.
-const SILENT: Duration = Duration::from_secs(1);
+pub(super) const SILENT: Duration = Duration::from_secs(1);
 const SILENT_PERIODS: f64 = 5.0;
 /// The rate is measured over about a second, from so many messages at least and at most.
 const MESSAGES: std::ops::RangeInclusive<usize> = 20..=400;
@@ -19,6 +19,7 @@ const RATE_FACTOR: f64 = 1.25;
 /// Arrivals and stamps of a stream.
 #[derive(Debug)]
 pub(super) struct StreamWatch {
+    silent: Duration,
     stated_hz: Option<f64>,
     last_arrival: Option<Duration>,
     /// The newest stamps, as they arrived.
@@ -30,10 +31,13 @@ pub(super) struct StreamWatch {
 
 impl StreamWatch {
     /// Nothing has come yet.
-    pub(super) fn new(stated_hz: Option<f64>) -> Self {
+    ///
+    /// # Arguments
+    /// * `silent`: so long without a message is too long: [`SILENT`], unless a stream has a low rate by nature.
+    pub(super) fn new(silent: Duration, stated_hz: Option<f64>) -> Self {
         let capacity = stated_hz.map_or(0, |rate| rate as usize).clamp(*MESSAGES.start(), *MESSAGES.end());
         let stamps = VecDeque::with_capacity(capacity);
-        Self { stated_hz, last_arrival: None, stamps, capacity, measured_ns: None }
+        Self { silent, stated_hz, last_arrival: None, stamps, capacity, measured_ns: None }
     }
 
     /// A message has arrived, whatever it was.
@@ -79,7 +83,7 @@ impl StreamWatch {
     pub(super) fn silence(&self, now: Duration) -> Option<Duration> {
         let silent = now.saturating_sub(self.last_arrival.unwrap_or_default());
         let periods = self.period_ns().map_or(0.0, |period| SILENT_PERIODS * period as f64 * 1e-9);
-        (silent > SILENT.max(Duration::from_secs_f64(periods.min(10.0)))).then_some(silent)
+        (silent > self.silent.max(Duration::from_secs_f64(periods.min(10.0)))).then_some(silent)
     }
 
     /// Measured and stated rate (Hz), where they differ.

@@ -109,7 +109,7 @@ fn another_rate_than_the_stated_one_is_named() {
         .filter(|(_, message)| match message {
             Message::Imu(reading) => (reading.stamp_ns - START_NS) % (2 * IMU_MS * MS) == 0,
             Message::Image(_, stamp_ns, _) => (stamp_ns - START_NS) % (2 * CAMERA_MS * MS) == 0,
-            Message::Wheels(_) => true,
+            Message::Wheels(_) | Message::Gnss(_) | Message::NoFix => true,
         })
         .collect();
     let played = play(1, half, 6);

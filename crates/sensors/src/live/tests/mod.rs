@@ -2,6 +2,7 @@
 
 mod cameras;
 mod clocks;
+mod gnss;
 mod images;
 mod imu;
 mod threads;
@@ -12,7 +13,9 @@ use super::fault::FaultKind;
 use super::image::LiveImage;
 use super::settings::LiveSettings;
 use super::stream::Stream;
-use crate::{CameraSensor, ImuNoise, ImuSample, ImuSensor, SensorCalibration, WheelReading, WheelReadings};
+use crate::{
+    CameraSensor, GnssReading, ImuNoise, ImuSample, ImuSensor, SensorCalibration, WheelReading, WheelReadings,
+};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use nalgebra::Vector3;
@@ -54,6 +57,9 @@ enum Message {
     Imu(ImuSample),
     Image(usize, i64, LiveImage),
     Wheels(WheelReading),
+    Gnss(GnssReading),
+    /// Of a receiver without a position.
+    NoFix,
 }
 
 /// Messages with their arrival, nanoseconds since the start.
@@ -85,6 +91,10 @@ fn shifted(message: Message, by_ns: i64) -> Message {
         Message::Wheels(reading) => {
             Message::Wheels(WheelReading { stamp_ns: reading.stamp_ns + by_ns, ..reading })
         }
+        Message::Gnss(reading) => {
+            Message::Gnss(GnssReading { stamp_ns: reading.stamp_ns + by_ns, ..reading })
+        }
+        Message::NoFix => message,
     }
 }
 
@@ -93,6 +103,7 @@ fn shifted(message: Message, by_ns: i64) -> Message {
 struct Played {
     readings: Vec<i64>,
     wheels: Vec<WheelReading>,
+    gnss: Vec<GnssReading>,
     frames: Vec<i64>,
     /// Frames with both images.
     pairs: usize,
@@ -138,6 +149,8 @@ fn play_with(mut buffer: LiveBuffer, mut script: Script, end_s: i64, busy_ms: i6
             match message {
                 Message::Imu(reading) => buffer.imu(reading, now),
                 Message::Wheels(reading) => buffer.wheels(reading, now),
+                Message::Gnss(reading) => buffer.gnss(reading, now),
+                Message::NoFix => drop(buffer.arrived(Stream::Gnss, now)),
                 Message::Image(camera, stamp_ns, image) => buffer.image(camera, stamp_ns, image, now),
             }
         }
@@ -148,6 +161,7 @@ fn play_with(mut buffer: LiveBuffer, mut script: Script, end_s: i64, busy_ms: i6
                     played.readings.push(reading.stamp_ns);
                 }
                 Some(Ready::Wheels(reading)) => played.wheels.push(reading),
+                Some(Ready::Gnss(reading)) => played.gnss.push(reading),
                 Some(Ready::Frame(stamp_ns, frame)) => {
                     played.frames.push(stamp_ns);
                     played.pairs += usize::from(frame.images.len() == 2);
