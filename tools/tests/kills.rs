@@ -6,6 +6,8 @@ use map::store::save_map;
 use map_io::text::write_map;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
+#[cfg(feature = "releases")]
+use testing::copy_folder;
 
 use crate::scratch::{Scratch, ids, in_town, place, rounds, town};
 
@@ -95,5 +97,30 @@ fn a_killed_publication_is_a_release_or_none() {
         }
         scratch.run("publish-map --map whole.db --to city");
         scratch.run("list-releases city");
+    });
+}
+
+#[cfg(feature = "releases")]
+#[test]
+fn a_killed_promotion_leaves_the_live_release_or_the_candidate_and_is_ended_by_another() {
+    let scratch = Scratch::new();
+    save_map(&scratch.path("whole.db"), &place(1), false).unwrap();
+    save_map(&scratch.path("next.db"), &place(1), false).unwrap();
+    scratch.run("edit-map --map next.db --remove 12");
+    scratch.run("publish-map --map whole.db --to before");
+    scratch.run("publish-map --map next.db --to before --stage candidate");
+    let [old, new] = ["whole.db", "next.db"].map(|map| ids(&scratch.path(map)));
+    let restore = || {
+        let _ = std::fs::remove_dir_all(scratch.path("city"));
+        copy_folder(&scratch.path("before"), &scratch.path("city"));
+    };
+    kill(&scratch, "promote-release city 1", 6, restore, || {
+        scratch.run("list-releases city");
+        scratch.run("checkout city --map now.db --force");
+        let found = ids(&scratch.path("now.db"));
+        assert!(found == old || found == new, "{found:?}");
+        scratch.run("promote-release city 1");
+        scratch.run("checkout city --map now.db");
+        assert_eq!(ids(&scratch.path("now.db")), new);
     });
 }

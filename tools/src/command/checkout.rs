@@ -1,11 +1,12 @@
 //! `driftless checkout`: makes a database the map of a release.
 
+use super::publish_map::VerifyingArgs;
 use super::releases::in_store;
 use anyhow::{Context as _, bail};
 use map::MapContents;
 use map::store::{MapTarget, StoreError, load_map};
 use protocol::MapIdentity;
-use releases::{Release, ReleaseChoice, ReleaseError, ReleaseKey, ReleasePlace, ReleaseStore, fetch};
+use releases::{Release, ReleaseChoice, ReleaseError, ReleasePlace, ReleaseStore, fetch};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -29,9 +30,8 @@ pub struct Args {
     /// Replace a map that was not published, too
     #[arg(long)]
     force: bool,
-    /// Take only a release that is signed with this key: a file of driftless release-key or minisign, or its line
-    #[arg(long, value_name = "FILE|KEY")]
-    release_key: Option<ReleaseKey>,
+    #[command(flatten)]
+    verifying: VerifyingArgs,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -58,10 +58,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let present = present(&args.map)?;
     let target = MapTarget::new(&args.map, present.is_some() || args.force)?;
     let (release, contents, is_published) = in_store(&place.url, async |store| {
-        let store = match &args.release_key {
-            Some(key) => store.signed_with(key.clone()),
-            None => store,
-        };
+        let store = args.verifying.apply(store);
         read(&store, place.choice, present.as_ref().map(|present| present.0)).await
     })?;
     let outcome = match present {

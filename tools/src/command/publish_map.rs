@@ -4,7 +4,8 @@ use super::releases::in_store;
 use indicatif::{ProgressBar, ProgressStyle};
 use map::store::load_map;
 use releases::{
-    Note, Outcome, PublishOptions, Published, ReleaseError, ReleaseStore, SigningKey, Stage, publish,
+    Note, Outcome, PublishOptions, Published, ReleaseError, ReleaseKey, ReleaseStore, SigningKey, Stage,
+    publish,
 };
 use serde_json::json;
 use std::path::PathBuf;
@@ -87,6 +88,24 @@ impl SigningArgs {
         let Some(file) = &self.sign else { return Ok(store) };
         let password = std::env::var("DRIFTLESS_KEY_PASSWORD").ok();
         Ok(store.signing_with(SigningKey::read(file, password)?))
+    }
+}
+
+/// With which key releases are verified.
+#[derive(Clone, Debug, clap::Args)]
+pub struct VerifyingArgs {
+    /// Take only releases that are signed with this key: a file of driftless release-key or minisign, or its line
+    #[arg(long, value_name = "FILE|KEY")]
+    release_key: Option<ReleaseKey>,
+}
+
+impl VerifyingArgs {
+    /// The store, of which only signed releases are read if a key was given.
+    pub(super) fn apply(&self, store: ReleaseStore) -> ReleaseStore {
+        match &self.release_key {
+            Some(key) => store.signed_with(key.clone()),
+            None => store,
+        }
     }
 }
 

@@ -1,12 +1,13 @@
 //! `driftless review-release`: whether a candidate may be promoted.
 
+use super::publish_map::VerifyingArgs;
 use super::releases::in_store;
 use crate::review::{Drive, Gates, Review, Side, write_page};
 use anyhow::{Context as _, Result};
 use onboard::RobotArguments;
 use onboard::arguments::CalibrationArguments;
 use recognition::LoadedMap;
-use releases::{ReleaseChoice, ReleaseKey, fetch};
+use releases::{ReleaseChoice, fetch};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -39,9 +40,8 @@ pub struct Args {
     /// Localize images of the drives from cold at this distance, s
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
     cold_every: f64,
-    /// Take only releases that are signed with this key: a file of driftless release-key or minisign, or its line
-    #[arg(long, value_name = "FILE|KEY")]
-    release_key: Option<ReleaseKey>,
+    #[command(flatten)]
+    verifying: VerifyingArgs,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -87,10 +87,7 @@ pub fn run(args: &Args) -> Result<()> {
 /// The live release and the candidate.
 fn read_sides(args: &Args) -> Result<[Side; 2]> {
     let maps = in_store(&args.url, async |store| {
-        let store = match &args.release_key {
-            Some(key) => store.signed_with(key.clone()),
-            None => store,
-        };
+        let store = args.verifying.apply(store);
         let mut maps = Vec::new();
         for choice in [args.against, args.candidate] {
             let release = choice.of(&store).await?;
