@@ -40,6 +40,7 @@ pub mod ros_camera_info;
 pub mod ros_mount;
 #[cfg(feature = "ros")]
 pub mod ros_sensors;
+#[cfg(feature = "ros")]
 pub mod ros_wheels;
 pub mod start;
 pub mod stdout;
