@@ -8,6 +8,8 @@ mod calibration;
 mod crossing;
 mod demo;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
+mod devices;
+#[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod documentation;
 #[cfg(unix)]
 mod ending;
