@@ -2,6 +2,8 @@
 
 use geometry::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::ops::RangeInclusive;
 
 use crate::elements::Viewpoint;
@@ -75,7 +77,7 @@ pub(super) struct ExpectedLandmark {
     pub in_global: Vector3<f64>,
 }
 
-/// The landmarks that a camera should see, each once: those that a keyframe near by saw from a similar direction and distance, and
+/// The landmarks that a camera should see, each once, in any order: those that a keyframe near by saw from a similar direction and distance, and
 /// those that a verified keyframe saw as it saw its inliers.
 ///
 /// What hides a landmark from the camera is not known, except that a keyframe near by saw it.
@@ -85,17 +87,24 @@ pub(super) fn expected_landmarks(
     global_from_camera: &Pose,
     place: &[&VerifiedKeyframe],
 ) -> Vec<ExpectedLandmark> {
-    let mut expected: Vec<(usize, ExpectedLandmark)> = Vec::new();
+    // One of many keyframes that saw a landmark is enough: where it is in the others is not computed.
+    let mut expected: HashMap<usize, ExpectedLandmark> = HashMap::new();
     let mut add = |keyframe: usize, camera_from_keyframe: &Pose, similarity: &Similarity| {
         let observed = map.observations.of(keyframe);
-        expected.extend((0..observed.landmarks.len()).filter_map(|at| {
+        for at in 0..observed.landmarks.len() {
+            let Entry::Vacant(landmark) = expected.entry(observed.landmark(at)) else { continue };
             let in_keyframe = map.observed_point(keyframe, at);
-            let is_similar = similarity.holds(&in_keyframe, camera_from_keyframe);
+            if !similarity.holds(&in_keyframe, camera_from_keyframe) {
+                continue;
+            }
             let in_camera = camera_from_keyframe.transform(&in_keyframe);
-            let pixel = is_similar.then(|| camera.project(&in_camera).ok()).flatten()?;
-            let in_global = global_from_camera.transform(&in_camera);
-            camera.contains(&pixel).then(|| (observed.landmark(at), ExpectedLandmark { pixel, in_global }))
-        }));
+            if let Ok(pixel) = camera.project(&in_camera)
+                && camera.contains(&pixel)
+            {
+                let in_global = global_from_camera.transform(&in_camera);
+                landmark.insert(ExpectedLandmark { pixel, in_global });
+            }
+        }
     };
     let camera_from = |keyframe: usize| {
         global_from_camera.inverse().compose(&map.keyframes[keyframe].global_from_keyframe.pose)
@@ -109,9 +118,7 @@ pub(super) fn expected_landmarks(
             add(verified.keyframe, &camera_from_keyframe, &similarity);
         }
     }
-    expected.sort_by_key(|(landmark, _)| *landmark);
-    expected.dedup_by_key(|(landmark, _)| *landmark);
-    expected.into_iter().map(|(_, landmark)| landmark).collect()
+    expected.into_values().collect()
 }
 
 /// The keyframes that see most like a camera, the most similar first.
