@@ -72,7 +72,9 @@ fn localize() -> Result<()> {
         None => None,
     };
     let input = Input::open(&arguments, &stop, &runtime)?;
-    let body = arguments.ros.body(input.imu_from_base(&arguments, &stop, &runtime)?)?;
+    let body = arguments
+        .ros
+        .body(arguments.robot.imu_in_base_link, input.imu_from_base(&arguments, &stop, &runtime)?)?;
     let map_expected = arguments.robot.map_mode()? != MapMode::Odometry;
     let settings =
         arguments.ros.settings(&body, &arguments.robot.robot, map_expected, &arguments.robot.initial_poses);
@@ -154,7 +156,7 @@ impl Input {
         runtime: &NetworkRuntime,
     ) -> Result<Option<Pose>> {
         let is_needed = arguments.ros.ros2 || arguments.robot.record.is_some();
-        if !is_needed || arguments.ros.imu_in_base_link.is_some() {
+        if !is_needed || arguments.robot.imu_in_base_link.is_some() {
             return Ok(None);
         }
         let base = &arguments.ros.frames.base_link;

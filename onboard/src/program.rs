@@ -11,7 +11,10 @@ use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
 use robot::stop::StopSignal;
-use robot::{Event, LinkError, MapLink, Robot, RobotLink, RobotSettings, RunError, RunReport};
+use robot::{
+    Event, LinkError, MapLink, Robot, RobotLink, RobotSettings, RunError, RunReport, gnss_sensor,
+    wheel_sensor,
+};
 use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -157,7 +160,10 @@ fn play(
     let link = link.filter(|link| link.map().is_none() || config.mode != MapMode::Odometry);
     let map = link.as_ref().and_then(RobotLink::map).map(str::to_owned);
     let masks = if contents.images { arguments.features.read_masks()? } else { Vec::new() };
-    let calibration = source.calibration().clone();
+    let mut calibration = source.calibration().clone();
+    // As they are used, by switches and settings.
+    calibration.wheels = config.wheels.as_ref().map(wheel_sensor);
+    calibration.gnss = config.gnss.as_ref().map(gnss_sensor);
     let realtime = arguments.realtime || source.live().is_some();
     let mut settings = settings(arguments, config.clone(), masks.clone());
     (settings.cameras, settings.initial, settings.stop) = (cameras, initial, stop.clone());

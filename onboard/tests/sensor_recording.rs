@@ -1,6 +1,8 @@
 //! Recorded sensors: what came is what is in the file, and the file needs nothing else to be played again.
 
 use bags::{Bag, Format, Topic};
+use geometry::{Pose, Rotation};
+use nalgebra::{Matrix3, Vector3};
 use onboard::arguments::Mode;
 use onboard::{Outcome, RobotArguments, StopSignal, run_robot, run_source_until};
 use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
@@ -10,7 +12,10 @@ use ros_messages::{RosMessage, decode, encode};
 use sensors::live::{LiveImage, LiveInputs, LiveSettings, LiveSource, RawPixels, Stream};
 use sensors::ros::{imu_message, pixels_message};
 use sensors::ros_bag::{RosBagWriter, message_type};
-use sensors::{CalibrationFiles, ImuSample, Recording, SensorCalibration, writer};
+use sensors::{
+    BaseKind, CalibrationFiles, GnssReading, GnssSensor, ImageData, ImuSample, Recording, SensorCalibration,
+    WheelBase, WheelReading, WheelSensor, writer,
+};
 use simulation::images::{ImageOptions, render_all, simulate_images};
 use simulation::{SimulationOptions, simulate};
 use std::path::{Path, PathBuf};
@@ -277,4 +282,42 @@ fn images_of_a_bag_stay_what_they_are_and_the_recording_is_no_larger() {
     assert_eq!(found.len(), 8);
     assert!(found.iter().enumerate().all(|(at, image)| image.data == gray(10 * at as u64).pixels()));
     assert!(ratio < 1.1, "{ratio} times the size of its input");
+}
+
+#[test]
+fn wheels_and_gnss_are_recorded_with_what_is_needed_to_use_them() {
+    let options = SimulationOptions { duration_s: Some(2.0), ..SimulationOptions::default() };
+    let mut sequence = simulate(&options).unwrap().live;
+    let start_ns = sequence.imu_samples[0].stamp_ns;
+    let mecanum = WheelBase::new(BaseKind::Mecanum, 0.1, 0.4);
+    let mounted = Pose::new(Rotation::identity(), Vector3::new(-0.1, 0.0, -0.2));
+    sequence.wheels = Some(WheelSensor::new(mecanum, mounted));
+    sequence.wheel_readings = (0..100)
+        .map(|k| WheelReading::new(start_ns + k * 20 * MS, [1.0, 1.5, 2.0, 0.1 * k as f64]))
+        .collect();
+    let antenna_in_imu = Vector3::new(0.1, 0.2, 0.3);
+    sequence.gnss = Some(GnssSensor { antenna_in_imu, ..GnssSensor::default() });
+    sequence.gnss_readings = (0..20)
+        .map(|k| GnssReading {
+            stamp_ns: start_ns + k * 100 * MS,
+            position: Vector3::new(k as f64, 0.0, 1.0),
+            covariance: Matrix3::new(1.0, 0.1, 0.0, 0.1, 2.0, 0.0, 0.0, 0.0, 4.0),
+        })
+        .collect();
+    let image = GrayImage::from_fn(752, 480, |x, _| x as u8);
+    for frame in &mut sequence.frames {
+        frame.images = [0, 1].map(|camera| (camera, ImageData::from(image.clone()))).into();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    run(&sequence, folder.path());
+    let again = Recording::open(&folder.path().join("run.mcap")).unwrap();
+    let wheels = again.calibration().wheels.unwrap();
+    assert_eq!((wheels.base, wheels.imu_from_base.translation), (mecanum, mounted.translation));
+    assert_eq!(again.calibration().gnss.unwrap().antenna_in_imu, antenna_in_imu);
+    // Those after the last image are not used any more.
+    let readings: Vec<WheelReading> = again.wheel_readings().unwrap().map(Result::unwrap).collect();
+    let positions: Vec<GnssReading> = again.gnss_readings().unwrap().map(Result::unwrap).collect();
+    assert!(readings.len() > 80 && positions.len() > 16, "{} {}", readings.len(), positions.len());
+    assert_eq!(readings, sequence.wheel_readings[..readings.len()]);
+    assert_eq!(positions, sequence.gnss_readings[..positions.len()]);
 }

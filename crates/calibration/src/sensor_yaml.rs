@@ -122,7 +122,15 @@ pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
 /// # Errors
 /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_gnss(path: &Path) -> Result<GnssSensor, CalibrationError> {
-    let yaml: GnssYaml = parse(path, KIND, &read_text(path)?)?;
+    gnss_of_text(path, &read_text(path)?)
+}
+
+/// Reads GNSS from the text of such a file. `path`: what it is called in errors.
+///
+/// # Errors
+/// As [`read_gnss`].
+pub fn gnss_of_text(path: &Path, text: &str) -> Result<GnssSensor, CalibrationError> {
+    let yaml: GnssYaml = parse(path, KIND, text)?;
     let antenna_in_imu = Vector3::from(yaml.antenna);
     check_mount(&Pose::new(UnitQuaternion::identity(), antenna_in_imu))
         .map_err(|error| CalibrationError::entry(path, format!("antenna: {error}")))?;

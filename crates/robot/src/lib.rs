@@ -7,7 +7,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `settings` | [`RobotSettings`], [`estimator_config()`], [`wheel_config()`], [`gnss_config()`] |
+//! | `settings` | [`RobotSettings`], [`estimator_config()`], [`wheel_config, wheel_sensor()`], [`gnss_config, gnss_sensor()`] |
 //! | `run`, `run_status` | [`Robot`]: the loop over frames; its status and alarms |
 //! | `output` | [`Output`]: takes what the robot gives out; [`Connection`], [`PublishMotion`] |
 //! | `estimate`, `event`, `report`, [`counts`] | what that is: [`Estimate`], [`StatusReport`], [`Event`], [`RunReport`] |
@@ -54,7 +54,7 @@ pub use output::{Connection, Output, PublishMotion};
 pub use query_cameras::QueryImage;
 pub use report::RunReport;
 pub use run::Robot;
-pub use settings::{RobotSettings, estimator_config, gnss_config, wheel_config};
+pub use settings::{RobotSettings, estimator_config, gnss_config, gnss_sensor, wheel_config, wheel_sensor};
 
 /// The examples of the README run as tests.
 #[cfg(doctest)]

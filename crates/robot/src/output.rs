@@ -6,7 +6,7 @@ use super::report::RunReport;
 use estimator::Motion;
 use geometry::PoseWithCovariance;
 use sensors::live::Stream;
-use sensors::{Frame, ImuSample};
+use sensors::{Frame, GnssReading, ImuSample, WheelReading};
 use std::error::Error;
 use tokio::runtime::Handle;
 
@@ -88,6 +88,16 @@ pub trait Output {
         let _ = reading;
     }
 
+    /// A reading of the wheels goes to the estimator.
+    fn wheels(&mut self, reading: &WheelReading) {
+        let _ = reading;
+    }
+
+    /// A position of GNSS goes to the estimator.
+    fn gnss(&mut self, reading: &GnssReading) {
+        let _ = reading;
+    }
+
     /// An image is about to be processed.
     fn frame(&mut self, frame: &Frame) {
         let _ = frame;
@@ -161,6 +171,14 @@ impl<O: Output + ?Sized> Output for &mut O {
 
     fn reading(&mut self, reading: &ImuSample) {
         (**self).reading(reading);
+    }
+
+    fn wheels(&mut self, reading: &WheelReading) {
+        (**self).wheels(reading);
+    }
+
+    fn gnss(&mut self, reading: &GnssReading) {
+        (**self).gnss(reading);
     }
 
     fn frame(&mut self, frame: &Frame) {

@@ -341,9 +341,11 @@ impl<'a> Robot<'a> {
         let begin = Instant::now();
         self.feed_imu(frame.stamp_ns);
         for reading in self.events.take_wheels() {
+            self.outputs.each(|output| output.wheels(&reading));
             self.supervisor.wheels(reading);
         }
         for reading in self.events.take_gnss() {
+            self.outputs.each(|output| output.gnss(&reading));
             self.supervisor.gnss(reading);
         }
         let tracks = self.initialize(frame.stamp_ns, tracks)?;

@@ -83,6 +83,25 @@ pub fn gnss_config(gnss: &GnssSensor) -> GnssConfig {
     config
 }
 
+/// The antenna that settings of GNSS state.
+pub fn gnss_sensor(config: &GnssConfig) -> GnssSensor {
+    GnssSensor {
+        antenna_in_imu: config.antenna_position_m.into(),
+        correlation_time_s: Some(config.correlation_time_s),
+        ..GnssSensor::default()
+    }
+}
+
+/// The wheels that settings state, whose readings are speeds.
+pub fn wheel_sensor(config: &WheelConfig) -> WheelSensor {
+    let sigma_angle_rad = Some(config.noise.sigma_angle_rad).filter(|sigma| *sigma > 0.0);
+    WheelSensor {
+        sigma_speed_rad_s: Some(config.noise.sigma_speed_rad_s),
+        sigma_angle_rad,
+        ..WheelSensor::new(config.base, config.imu_from_base())
+    }
+}
+
 /// The default settings of wheels with their geometry and noise.
 pub fn wheel_config(wheels: &WheelSensor) -> WheelConfig {
     let mut config = WheelConfig::new(wheels.base);

@@ -1,18 +1,25 @@
 //! A recording in another format.
 
-use crate::ros::{RosSensors, image_message, imu_message};
+use crate::ros::{
+    GNSS_TOPIC, RosSensors, WHEEL_TOPIC, image_message, imu_message, position_message, wheel_message,
+};
 use crate::ros_bag::{RosBagWriter, message_type};
 use crate::{
-    CalibrationFiles, Frame, Recording, SensorError, SensorEvent, SensorSource, Sequence, SequenceError,
-    writer,
+    CalibrationFiles, Frame, Recording, SensorCalibration, SensorError, SensorEvent, SensorSource, Sequence,
+    SequenceError, writer,
 };
 use bags::{BagError, Format};
 use ros_messages::builtin_interfaces::Time;
-use ros_messages::sensor_msgs::{CameraInfo, Imu};
+use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
+use ros_messages::sensor_msgs::{CameraInfo, Imu, JointState};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{CdrError, encode};
 use std::path::{Path, PathBuf};
 use vision::ImageError;
+
+/// Frames in which readings of wheels and positions of GNSS are written.
+const BASE: &str = "base_link";
+const MAP: &str = "map";
 
 /// What a recording becomes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,7 +146,12 @@ fn to_bag(
     sensors.warn_of_unnamed_models();
     let format = if target == Target::Rosbag2 { Format::Rosbag2 } else { Format::Mcap };
     let mut bag = RosBagWriter::create(out, format)?;
-    bag.write_sensors(&sensors, calibration.imu.as_ref())?;
+    // Geometry and antenna are in the text of an MCAP, for which SQLite has no place.
+    let has_text = target != Target::Rosbag2;
+    let wheels = calibration.wheels.filter(|_| has_text);
+    let gnss = calibration.gnss.filter(|_| has_text);
+    let stated = SensorCalibration { imu: calibration.imu.clone(), cameras: Vec::new(), wheels, gnss };
+    bag.write_sensors(&sensors, &stated)?;
     let mut source = recording.source()?;
     let mut frames = 0;
     let mut is_mounted = false;
@@ -160,7 +172,23 @@ fn to_bag(
                 frames += 1;
                 progress(frames);
             }
-            SensorEvent::Wheels(_) | SensorEvent::Gnss(_) | SensorEvent::Tick => {}
+            SensorEvent::Wheels(reading) => {
+                let Some(kind) = wheels.map(|wheels| wheels.base.kind()) else { continue };
+                let stamp_ns = reading.stamp_ns;
+                let message = wheel_message(&reading, kind, BASE).ok_or(ConvertError::Time { stamp_ns })?;
+                bag.write(WHEEL_TOPIC, message_type::<JointState>, stamp_ns, &encode(&message)?)?;
+            }
+            SensorEvent::Gnss(reading) if gnss.is_some() => {
+                let stamp_ns = reading.stamp_ns;
+                let message = position_message(&reading, MAP).ok_or(ConvertError::Time { stamp_ns })?;
+                bag.write(
+                    GNSS_TOPIC,
+                    message_type::<PoseWithCovarianceStamped>,
+                    stamp_ns,
+                    &encode(&message)?,
+                )?;
+            }
+            SensorEvent::Gnss(_) | SensorEvent::Tick => {}
         }
     }
     bag.finish()?;
@@ -172,8 +200,8 @@ fn to_bag(
     let parts = [
         (contents.tracks, "tracks"),
         (contents.features, "features"),
-        (contents.wheels.is_some(), "the wheels"),
-        (contents.gnss, "GNSS"),
+        (contents.wheels.is_some() && wheels.is_none(), "the wheels"),
+        (contents.gnss && gnss.is_none(), "GNSS"),
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();

@@ -1,9 +1,13 @@
 //! Readings, images and projections as messages of ROS, and back.
 
 pub use crate::camera_info::{camera_info_message, camera_info_topic, camera_of_info, has_ros_name};
-pub use crate::ros_gnss::{NoFix, SatellitePosition, satellite_position};
+pub use crate::ros_gnss::{
+    GNSS_TOPIC, NoFix, SatellitePosition, position_message, position_of_message, satellite_position,
+};
 pub use crate::ros_sensors::{RosSensors, SENSOR_FRAMES, transform_message};
-pub use crate::ros_wheels::{JointReader, MovesSideways, WheelJoints, base_velocity};
+pub use crate::ros_wheels::{
+    JointReader, MovesSideways, WHEEL_TOPIC, WheelJoints, base_velocity, wheel_message,
+};
 pub use crate::static_transforms::StaticTransforms;
 
 use crate::{ImageData, ImuSample, OriginalImage, RawPixels};

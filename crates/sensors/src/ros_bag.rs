@@ -1,9 +1,10 @@
 //! Bags of ROS 2 messages, written.
 
-use crate::ImuSensor;
-use crate::euroc::writer::imu_yaml;
+use crate::SensorCalibration;
+use crate::euroc::writer::{gnss_yaml, imu_yaml};
 use crate::ros::{ImageMessage, RosSensors};
 use bags::{BagError, BagWriter, Format, MessageType, Metadata, OfferedQos, WrittenTopic};
+use calibration::wheel_yaml::text_of_wheels;
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image};
 use std::collections::BTreeMap;
@@ -13,6 +14,10 @@ use std::path::Path;
 pub(crate) const METADATA: &str = "driftless";
 /// Its entry with the IMU, for whose noise ROS has no message.
 pub(crate) const IMU_ENTRY: &str = "imu0/sensor.yaml";
+/// Its entry with the wheels whose readings are in it.
+pub(crate) const WHEELS_ENTRY: &str = "wheels0/sensor.yaml";
+/// Its entry with the antenna of GNSS whose positions are in it.
+pub(crate) const GNSS_ENTRY: &str = "gnss0/sensor.yaml";
 /// Its entry with the name of the IMU's frame, which a recording without readings has in no message.
 pub(crate) const IMU_FRAME_ENTRY: &str = "imu0/frame_id";
 /// Its entry with the rate of a camera, by the topic of its projection.
@@ -69,13 +74,21 @@ impl RosBagWriter {
         }
     }
 
-    /// Writes what no message states of the sensors: the noise of the IMU, where there is one, the rates of the cameras, and that the
+    /// Writes what no message states of the sensors: the noise of the IMU, wheels and antenna of GNSS, where there are any, the rates of the cameras, and that the
     /// images are stamped on the IMU's clock. A recording of readings and of images with `CameraInfo` and `/tf_static` needs no other
     /// calibration then. Only MCAP has a place for it.
     ///
+    /// # Arguments
+    /// * `calibration`: its cameras are not looked at.
+    ///
     /// # Errors
     /// [`BagError`]: the file cannot be written.
-    pub fn write_sensors(&mut self, sensors: &RosSensors, imu: Option<&ImuSensor>) -> Result<(), BagError> {
+    pub fn write_sensors(
+        &mut self,
+        sensors: &RosSensors,
+        calibration: &SensorCalibration,
+    ) -> Result<(), BagError> {
+        let SensorCalibration { imu, wheels, gnss, .. } = calibration;
         let mut entries = BTreeMap::from([(IMU_FRAME_ENTRY.to_owned(), sensors.imu_frame().to_owned())]);
         entries.extend(sensors.rates_hz().map(|(topic, rate_hz)| (rate_entry(&topic), rate_hz.to_string())));
         if let Some(imu) = imu {
@@ -83,6 +96,14 @@ impl RosBagWriter {
             // Memory can be written to.
             let _ = imu_yaml(&mut text, imu);
             entries.insert(IMU_ENTRY.to_owned(), String::from_utf8_lossy(&text).into_owned());
+        }
+        if let Some(wheels) = wheels {
+            entries.insert(WHEELS_ENTRY.to_owned(), text_of_wheels(wheels));
+        }
+        if let Some(gnss) = gnss {
+            let mut text = Vec::new();
+            let _ = gnss_yaml(&mut text, gnss);
+            entries.insert(GNSS_ENTRY.to_owned(), String::from_utf8_lossy(&text).into_owned());
         }
         self.writer.metadata(&Metadata { name: METADATA.to_owned(), entries })
     }

@@ -1,12 +1,50 @@
 //! Positions of GNSS in messages of ROS.
 
+use crate::GnssReading;
 use nalgebra::{Matrix3, Vector3};
+use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::sensor_msgs::NavSatFix;
+use ros_messages::std_msgs::Header;
 
 /// `NavSatStatus::status` below which there is no position.
 const FIX: i8 = 0;
 /// `position_covariance_type` of an unknown covariance.
 const UNKNOWN: u8 = 0;
+
+/// The topic of the positions of a recording of Driftless.
+pub const GNSS_TOPIC: &str = "/gnss";
+/// Columns of the covariance of a pose.
+const POSE_COLUMNS: usize = 6;
+
+/// A position in the frame of the map as a message; `None` for a time that ROS cannot write. The rotation says nothing.
+///
+/// # Arguments
+/// * `frame`: name of the map's frame.
+pub fn position_message(reading: &GnssReading, frame: &str) -> Option<PoseWithCovarianceStamped> {
+    let mut message =
+        PoseWithCovarianceStamped { header: Header::new(reading.stamp_ns, frame)?, ..Default::default() };
+    let [x, y, z]: [f64; 3] = reading.position.into();
+    let position = &mut message.pose.pose.position;
+    (position.x, position.y, position.z) = (x, y, z);
+    message.pose.pose.orientation.w = 1.0;
+    for row in 0..3 {
+        for column in 0..3 {
+            message.pose.covariance[POSE_COLUMNS * row + column] = reading.covariance[(row, column)];
+        }
+    }
+    Some(message)
+}
+
+/// The position in the frame of the map that a message states; `None` where it is none, or has no covariance.
+pub fn position_of_message(message: &PoseWithCovarianceStamped) -> Option<GnssReading> {
+    let position = &message.pose.pose.position;
+    let reading = GnssReading {
+        stamp_ns: message.header.stamp.to_nanoseconds(),
+        position: Vector3::new(position.x, position.y, position.z),
+        covariance: Matrix3::from_fn(|row, column| message.pose.covariance[POSE_COLUMNS * row + column]),
+    };
+    reading.is_valid().then_some(reading)
+}
 
 /// A position of satellites before it is turned to the frame of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]

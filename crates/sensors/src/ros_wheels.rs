@@ -3,6 +3,7 @@
 use crate::{BaseKind, Encoder, WheelReading};
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::sensor_msgs::JointState;
+use ros_messages::std_msgs::Header;
 use types::EncoderCounts;
 
 /// A base whose wheels forbid it does not move sideways faster, m/s: odometry of some drivers has rounding errors there.
@@ -39,6 +40,28 @@ pub fn base_velocity(message: &Odometry, kind: BaseKind) -> Result<WheelReading,
     let stamp_ns = message.header.stamp.to_nanoseconds();
     let velocity = [twist.linear.x, twist.linear.y];
     Ok(WheelReading::of_base_velocity(kind, stamp_ns, velocity, twist.angular.z))
+}
+
+/// The topic of the wheels of a recording of Driftless.
+pub const WHEEL_TOPIC: &str = "/wheels";
+
+/// A reading as a message, whose joints have the names of [`BaseKind::columns`]; `None` for a time that ROS cannot write.
+///
+/// # Arguments
+/// * `frame`: name of the base's frame.
+pub fn wheel_message(reading: &WheelReading, kind: BaseKind, frame: &str) -> Option<JointState> {
+    let (columns, wheels) = (kind.columns(), kind.wheels());
+    let part = |of_wheels: bool| {
+        let values = reading.values.iter().enumerate().take(columns.len());
+        values.map(|(index, value)| if (index < wheels) == of_wheels { *value } else { f64::NAN }).collect()
+    };
+    Some(JointState {
+        header: Header::new(reading.stamp_ns, frame)?,
+        name: columns.iter().map(|&name| name.to_owned()).collect(),
+        position: part(false),
+        velocity: part(true),
+        effort: Vec::new(),
+    })
 }
 
 /// The joints of a base's wheels, and of its steering.
@@ -205,6 +228,18 @@ mod tests {
 
     fn owned(names: &[&str]) -> Vec<String> {
         names.iter().map(|&name| name.to_owned()).collect()
+    }
+
+    #[test]
+    fn a_message_of_a_reading_is_read_as_it_was() {
+        for kind in BaseKind::ALL {
+            let values = [1.5, 0.25, -3.0, 4.0];
+            let written = WheelReading::of_slice(7_000_000_000, &values[..kind.columns().len()]);
+            let message = wheel_message(&written, kind, "base_link").unwrap();
+            let joints = WheelJoints::named(kind, &owned(kind.columns()));
+            let read = JointReader::new(kind, joints, None).reading(7_000_000_000, &message);
+            assert_eq!(read, Some(written));
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod calibration;
 mod choices;
 mod features;
 mod gnss;
+mod imu_in_base_link;
 mod live;
 #[cfg(feature = "ros")]
 mod ros;
@@ -15,9 +16,10 @@ pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
 pub use features::{FeatureArguments, mask_path, read_masks};
 pub use gnss::GnssArguments;
+pub use imu_in_base_link::ImuInBaseLink;
 pub use live::LiveArguments;
 #[cfg(feature = "ros")]
-pub use ros::{ImuInBaseLink, RosArguments};
+pub use ros::RosArguments;
 pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
 pub use wheels::WheelArguments;
@@ -62,6 +64,10 @@ pub struct RobotArguments {
     /// Such a file can be played again with --sequence, without any other calibration.
     #[arg(long, requires = "record", help_heading = OUTPUT)]
     pub record_sensors: bool,
+    /// The IMU in base_link, for --record and --ros2: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: by
+    /// /tf_static of the bag, or of ROS 2 with --source ros2; else base_link is the IMU]
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", allow_hyphen_values = true, help_heading = OUTPUT)]
+    pub imu_in_base_link: Option<ImuInBaseLink>,
     /// The robot's frames, for --record
     #[arg(skip)]
     pub body: RosBody,

@@ -1,13 +1,12 @@
 //! Switches of the ROS 2 topics.
 
+use super::ImuInBaseLink;
 use crate::outputs::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};
 use geometry::Pose;
-use nalgebra::{UnitQuaternion, Vector3};
 use robot::initial_pose::InitialPoses;
 use ros2::NodeOptions;
-use std::str::FromStr;
 
 /// Heading in `--help` of the switches about ROS 2.
 const ROS: &str = "ROS 2";
@@ -38,29 +37,6 @@ pub struct RosArguments {
     /// Names of the frames of IMU and cameras, whose mounting is published on /tf_static; none: a robot description has it
     #[arg(long, value_name = "IMU,CAM0,CAM1", default_value = "imu,cam0,cam1", help_heading = ROS)]
     pub sensor_frames: SensorFrames,
-    /// The IMU in base_link: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: by /tf_static of the bag, or of ROS 2 with
-    /// --source ros2; else base_link is the IMU]
-    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", allow_hyphen_values = true, help_heading = ROS)]
-    pub imu_in_base_link: Option<ImuInBaseLink>,
-}
-
-/// The pose of the IMU in the robot's frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ImuInBaseLink(pub Pose);
-
-impl FromStr for ImuInBaseLink {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
-        match numbers.as_deref() {
-            Ok(&[x, y, z, roll, pitch, yaw]) if numbers.iter().flatten().all(|number| number.is_finite()) => {
-                let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
-                Ok(Self(Pose::new(rotation, Vector3::new(x, y, z))))
-            }
-            _ => Err("give six numbers: x,y,z,roll,pitch,yaw in metres and radians".to_owned()),
-        }
-    }
 }
 
 impl RosArguments {
@@ -82,12 +58,13 @@ impl RosArguments {
     /// The frames of the robot.
     ///
     /// # Arguments
-    /// * `stated`: `imu_from_base` as transforms state it; `--imu-in-base-link` comes before.
+    /// * `given`: `--imu-in-base-link`, which comes before what transforms state.
+    /// * `stated`: `imu_from_base` as transforms state it.
     ///
     /// # Errors
     /// A frame of a sensor has the name of one of the robot.
-    pub fn body(&self, stated: Option<Pose>) -> anyhow::Result<RosBody> {
-        let given = self.imu_in_base_link.map(|ImuInBaseLink(base_from_imu)| base_from_imu.inverse());
+    pub fn body(&self, given: Option<ImuInBaseLink>, stated: Option<Pose>) -> anyhow::Result<RosBody> {
+        let given = given.map(ImuInBaseLink::imu_from_base);
         let body = RosBody {
             frames: self.frames.clone(),
             sensor_frames: self.sensor_frames.clone(),
@@ -132,6 +109,7 @@ impl RosArguments {
 mod tests {
     use super::*;
     use clap::Parser;
+    use nalgebra::{UnitQuaternion, Vector3};
 
     #[derive(clap::Parser)]
     struct Line {
@@ -143,20 +121,11 @@ mod tests {
     fn the_switch_comes_before_what_transforms_state() {
         let given = |line: &[&str]| Line::try_parse_from([&["robot"], line].concat()).unwrap().ros;
         let stated = Pose::new(UnitQuaternion::identity(), Vector3::new(0.1, 0.0, -0.3));
-        assert_eq!(given(&[]).body(None).unwrap().imu_from_base, Pose::identity());
-        assert_eq!(given(&[]).body(Some(stated)).unwrap().imu_from_base, stated);
-        let switched = given(&["--imu-in-base-link", "-1,0,0,0,0,0"]).body(Some(stated)).unwrap();
+        assert_eq!(given(&[]).body(None, None).unwrap().imu_from_base, Pose::identity());
+        assert_eq!(given(&[]).body(None, Some(stated)).unwrap().imu_from_base, stated);
+        let switch: ImuInBaseLink = "-1,0,0,0,0,0".parse().unwrap();
+        let switched = given(&[]).body(Some(switch), Some(stated)).unwrap();
         assert_eq!(switched.imu_from_base.translation, Vector3::x());
-        assert!(given(&["--sensor-frames", "odom"]).body(None).is_err());
-    }
-
-    #[test]
-    fn the_imu_in_base_link_is_read_as_in_urdf() {
-        let ImuInBaseLink(pose) = "0.1,-0.2,0.3,0,0,1.5707963267948966".parse().unwrap();
-        let in_base = pose.transform(&Vector3::new(1.0, 0.0, 0.0));
-        assert!((in_base - Vector3::new(0.1, 0.8, 0.3)).norm() < 1e-12, "{in_base}");
-        for wrong in ["", "1,2,3", "0,0,0,0,0,x", "0,0,0,0,0,nan", "0,0,0,0,0,0,0"] {
-            assert!(wrong.parse::<ImuInBaseLink>().is_err(), "{wrong}");
-        }
+        assert!(given(&["--sensor-frames", "odom"]).body(None, None).is_err());
     }
 }

@@ -14,10 +14,10 @@ use ros_messages::RosMessage;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use ros_messages::std_msgs::Header;
-use sensors::Frame;
 use sensors::live::Stream;
-use sensors::ros::imu_message;
+use sensors::ros::{GNSS_TOPIC, WHEEL_TOPIC, imu_message, position_message, wheel_message};
 use sensors::ros_bag::RosBagWriter;
+use sensors::{Frame, GnssReading, WheelReading};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -49,7 +49,7 @@ impl MessageRecording {
         let cameras = if settings.sensors { &*settings.calibration.cameras } else { &[] };
         let topics = SensorTopics::new(&settings.body.sensor_frames, cameras);
         if settings.sensors {
-            writer.write_sensors(&topics, settings.calibration.imu.as_ref())?;
+            writer.write_sensors(&topics, &settings.calibration)?;
         }
         let queue = RecordingQueue::start(path, writer, settings.realtime)?;
         let odom = OdomFrame::default();
@@ -169,6 +169,30 @@ impl Output for MessageRecording {
         self.mount(stamp_ns);
         if let Some(message) = imu_message(&ImuSample { stamp_ns, ..*reading }, self.topics.imu_frame()) {
             self.queue.message("/imu", stamp_ns, &message, Some(self.topics.qos(Stream::Imu)));
+        }
+    }
+
+    /// Records a reading of the wheels, where sensors are to be recorded.
+    fn wheels(&mut self, reading: &WheelReading) {
+        let Some(wheels) = self.settings.calibration.wheels.filter(|_| self.settings.sensors) else { return };
+        let stamp_ns = reading.stamp_ns.saturating_add(self.clock_shift_ns);
+        self.mount(stamp_ns);
+        let (reading, base) = (WheelReading { stamp_ns, ..*reading }, &self.settings.body.frames.base_link);
+        if let Some(message) = wheel_message(&reading, wheels.base.kind(), base) {
+            self.queue.message(WHEEL_TOPIC, stamp_ns, &message, Some(self.topics.qos(Stream::Wheels)));
+        }
+    }
+
+    /// Records a position of GNSS, where sensors are to be recorded.
+    fn gnss(&mut self, reading: &GnssReading) {
+        if !self.settings.sensors || self.settings.calibration.gnss.is_none() {
+            return;
+        }
+        let stamp_ns = reading.stamp_ns.saturating_add(self.clock_shift_ns);
+        self.mount(stamp_ns);
+        let reading = GnssReading { stamp_ns, ..*reading };
+        if let Some(message) = position_message(&reading, &self.settings.body.frames.map) {
+            self.queue.message(GNSS_TOPIC, stamp_ns, &message, Some(self.topics.qos(Stream::Gnss)));
         }
     }
 

@@ -4,7 +4,7 @@ use crate::in_process::{LocalServer, gravity_in_own_frame, load_map};
 use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
-use onboard::arguments::CalibrationArguments;
+use onboard::arguments::{CalibrationArguments, ImuInBaseLink};
 use onboard::{MapLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
@@ -58,7 +58,8 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };
     let mut robot = args.robot.clone();
-    if let Some(imu_from_base) = recording.imu_from_base(&robot.body.frames.base_link) {
+    let given = robot.imu_in_base_link.map(ImuInBaseLink::imu_from_base);
+    if let Some(imu_from_base) = given.or_else(|| recording.imu_from_base(&robot.body.frames.base_link)) {
         robot.body.imu_from_base = imu_from_base;
     }
     if let Some((_, map)) = maps.first() {

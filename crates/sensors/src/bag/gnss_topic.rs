@@ -2,31 +2,32 @@
 
 use super::index::{Stamped, StampedTopic};
 use super::messages;
-use super::recorded_calibration::{imu_frame, static_transforms};
+use super::recorded_calibration::{self, imu_frame, static_transforms};
 use super::rows::Values;
-use super::topics::{NAV_SAT_FIX, named, wrong};
+use super::topics::{NAV_SAT_FIX, POSITION, named, wrong};
 use crate::gnss_intake::GnssIntake;
-use crate::ros_gnss::satellite_position;
+use crate::ros_gnss::{GNSS_TOPIC, position_of_message, satellite_position};
 use crate::{CalibrationFiles, GnssReading, GnssSensor, SequenceError};
 use bags::Bag;
+use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::sensor_msgs::NavSatFix;
 use std::sync::Arc;
 
 /// How positions are read from a topic.
 #[derive(Clone, Debug)]
 pub(super) struct GnssTopic {
-    /// Frame of the antenna.
-    frame: String,
+    /// Frame of the antenna; `None` of positions in the frame of the map, which Driftless recorded with the antenna.
+    frame: Option<String>,
     sensor: GnssSensor,
 }
 
 impl GnssTopic {
-    /// Finds the topic that is named.
+    /// Finds the topic that is named, else that of a recording of Driftless.
     ///
     /// # Errors
     /// [`SequenceError::Topics`]: it is not there, of another type, has no position, or the origin is not known.
     pub(super) fn find(bag: &Bag, files: &CalibrationFiles) -> Result<Option<(usize, Self)>, SequenceError> {
-        let Some(name) = &files.gnss_topic else { return Ok(None) };
+        let Some(name) = &files.gnss_topic else { return Self::recorded(bag) };
         let topic = named(bag, name, "--gnss-topic", &[NAV_SAT_FIX])?;
         if let Some(why) = messages::unreadable(bag, topic) {
             return Err(wrong(bag, format!("{name} cannot be read: {why}")));
@@ -52,7 +53,15 @@ impl GnssTopic {
             let taken = intake.take(position.stamp_ns, &position.geodetic, position.covariance);
             taken.map_err(|problem| wrong(bag, format!("{name}: {problem}")))?;
         }
-        Ok(Some((topic, Self { frame: first.header.frame_id, sensor })))
+        Ok(Some((topic, Self { frame: Some(first.header.frame_id), sensor })))
+    }
+
+    /// The positions that Driftless recorded.
+    fn recorded(bag: &Bag) -> Result<Option<(usize, Self)>, SequenceError> {
+        let is_it = |topic: &bags::Topic| topic.name == GNSS_TOPIC && topic.type_name == POSITION;
+        let Some(topic) = bag.topics().iter().position(is_it) else { return Ok(None) };
+        let sensor = recorded_calibration::gnss(bag)?;
+        Ok(sensor.map(|sensor| (topic, Self { frame: None, sensor })))
     }
 
     /// The antenna, where `/tf_static` says where its frame is.
@@ -60,7 +69,8 @@ impl GnssTopic {
     /// # Arguments
     /// * `imu`: topic of the IMU.
     pub(super) fn calibration(&self, bag: &Bag, imu: Option<usize>) -> Option<GnssSensor> {
-        let imu_from_antenna = static_transforms(bag).between(&imu_frame(bag, imu?), &self.frame)?;
+        let Some(frame) = &self.frame else { return Some(self.sensor) };
+        let imu_from_antenna = static_transforms(bag).between(&imu_frame(bag, imu?), frame)?;
         Some(GnssSensor { antenna_in_imu: imu_from_antenna.translation, ..self.sensor })
     }
 
@@ -70,8 +80,12 @@ impl GnssTopic {
         bag: &Arc<Bag>,
         topic: &Arc<StampedTopic>,
     ) -> impl Iterator<Item = Result<GnssReading, SequenceError>> + use<> {
-        let intake = GnssIntake::new(&self.sensor);
+        let (intake, is_recorded) = (GnssIntake::new(&self.sensor), self.frame.is_none());
         let values = Values::new(bag, topic, move |bag: &Bag, topic, message: Stamped| {
+            if is_recorded {
+                let message = messages::read::<PoseWithCovarianceStamped>(bag, topic, message.place).ok()?;
+                return position_of_message(&message);
+            }
             let message = messages::read::<NavSatFix>(bag, topic, message.place).ok()?;
             let position = satellite_position(&message).ok()?;
             intake.take(position.stamp_ns, &position.geodetic, position.covariance).ok()

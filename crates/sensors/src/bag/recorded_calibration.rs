@@ -5,11 +5,11 @@ use super::BagCamera;
 use super::messages;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
-use crate::ros_bag::{IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, rate_entry};
+use crate::ros_bag::{GNSS_ENTRY, IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, WHEELS_ENTRY, rate_entry};
 use crate::static_transforms::StaticTransforms;
-use crate::{ImuSensor, SequenceError};
+use crate::{GnssSensor, ImuSensor, SequenceError, WheelSensor};
 use bags::{Bag, Metadata};
-use calibration::sensor_yaml;
+use calibration::{sensor_yaml, wheel_yaml};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use ros_messages::sensor_msgs::{CameraInfo, Imu};
@@ -84,9 +84,26 @@ pub(super) fn is_own(bag: &Bag) -> bool {
 
 /// The IMU of a recording of Driftless.
 pub(super) fn imu(bag: &Bag) -> Result<Option<ImuSensor>, SequenceError> {
-    let Some(text) = own(bag).and_then(|metadata| metadata.entries.get(IMU_ENTRY)) else { return Ok(None) };
-    let name: PathBuf = format!("{}, {IMU_ENTRY}", bag.path().display()).into();
+    let Some((name, text)) = entry(bag, IMU_ENTRY) else { return Ok(None) };
     Ok(Some(sensor_yaml::imu_of_text(&name, text)?))
+}
+
+/// The wheels of a recording of Driftless.
+pub(super) fn wheels(bag: &Bag) -> Result<Option<WheelSensor>, SequenceError> {
+    let Some((name, text)) = entry(bag, WHEELS_ENTRY) else { return Ok(None) };
+    Ok(Some(wheel_yaml::wheels_of_text(&name, text)?))
+}
+
+/// The antenna of GNSS of a recording of Driftless.
+pub(super) fn gnss(bag: &Bag) -> Result<Option<GnssSensor>, SequenceError> {
+    let Some((name, text)) = entry(bag, GNSS_ENTRY) else { return Ok(None) };
+    Ok(Some(sensor_yaml::gnss_of_text(&name, text)?))
+}
+
+/// A text of a recording of Driftless, and what it is called in errors.
+fn entry<'a>(bag: &'a Bag, name: &str) -> Option<(PathBuf, &'a String)> {
+    let text = own(bag)?.entries.get(name)?;
+    Some((format!("{}, {name}", bag.path().display()).into(), text))
 }
 
 /// The stated rates of all cameras, of a recording of Driftless.

@@ -17,6 +17,8 @@ pub(super) const JOINT_STATE: &str = "sensor_msgs/JointState";
 pub(super) const ODOMETRY: &str = "nav_msgs/Odometry";
 /// Type of GNSS.
 pub(super) const NAV_SAT_FIX: &str = "sensor_msgs/NavSatFix";
+/// Type of positions in the frame of the map.
+pub(super) const POSITION: &str = "geometry_msgs/PoseWithCovarianceStamped";
 pub(super) const CAMERA_INFO: &str = "sensor_msgs/CameraInfo";
 
 /// The sensors of a bag, as indices of [`Bag::topics`].

@@ -2,10 +2,10 @@
 
 use super::index::{Stamped, StampedTopic};
 use super::messages;
-use super::recorded_calibration::{imu_frame, static_transforms};
+use super::recorded_calibration::{self, imu_frame, static_transforms};
 use super::rows::Values;
 use super::topics::{JOINT_STATE, ODOMETRY, named, wrong};
-use crate::ros_wheels::{JointReader, WheelJoints, base_velocity};
+use crate::ros_wheels::{JointReader, WHEEL_TOPIC, WheelJoints, base_velocity};
 use crate::{BaseKind, CalibrationFiles, SequenceError, WheelReading, WheelReadings, WheelSensor};
 use bags::Bag;
 use ros_messages::RosMessage;
@@ -21,17 +21,19 @@ const LOOKED_AT: usize = 50;
 pub(super) enum WheelTopic {
     /// `sensor_msgs/JointState`.
     Joints(JointReader),
+    /// The same, recorded by Driftless, with the geometry.
+    Recorded(JointReader, WheelSensor),
     /// `nav_msgs/Odometry`: what the base is, and the frame whose velocity it is.
     Base(BaseKind, String),
 }
 
 impl WheelTopic {
-    /// Finds the topic that is named.
+    /// Finds the topic that is named, else that of a recording of Driftless.
     ///
     /// # Errors
     /// [`SequenceError::Topics`]: it is not there, of another type, has no joints of wheels, or a base that moves sideways.
     pub(super) fn find(bag: &Bag, files: &CalibrationFiles) -> Result<Option<(usize, Self)>, SequenceError> {
-        let Some(name) = &files.wheel_topic else { return Ok(None) };
+        let Some(name) = &files.wheel_topic else { return Self::recorded(bag) };
         let topic = named(bag, name, "--wheel-topic", &[JOINT_STATE, ODOMETRY])?;
         if let Some(why) = messages::unreadable(bag, topic) {
             return Err(wrong(bag, format!("{name} cannot be read: {why}")));
@@ -41,10 +43,21 @@ impl WheelTopic {
         Ok(Some((topic, found)))
     }
 
+    /// The wheels that Driftless recorded.
+    fn recorded(bag: &Bag) -> Result<Option<(usize, Self)>, SequenceError> {
+        let is_it = |topic: &bags::Topic| topic.name == WHEEL_TOPIC && topic.type_name == JOINT_STATE;
+        let Some(topic) = bag.topics().iter().position(is_it) else { return Ok(None) };
+        let Some(wheels) = recorded_calibration::wheels(bag)? else { return Ok(None) };
+        let kind = wheels.base.kind();
+        let names: Vec<String> = kind.columns().iter().map(|&name| name.to_owned()).collect();
+        let reader = JointReader::new(kind, WheelJoints::named(kind, &names), None);
+        Ok(Some((topic, Self::Recorded(reader, wheels))))
+    }
+
     /// What the readings are.
     pub(super) fn readings(&self) -> WheelReadings {
         match self {
-            Self::Joints(_) => WheelReadings::Speeds,
+            Self::Joints(_) | Self::Recorded(..) => WheelReadings::Speeds,
             Self::Base(..) => WheelReadings::BaseVelocities,
         }
     }
@@ -54,7 +67,11 @@ impl WheelTopic {
     /// # Arguments
     /// * `imu`: topic of the IMU.
     pub(super) fn calibration(&self, bag: &Bag, imu: Option<usize>) -> Option<WheelSensor> {
-        let Self::Base(kind, base) = self else { return None };
+        let (kind, base) = match self {
+            Self::Joints(_) => return None,
+            Self::Recorded(_, wheels) => return Some(*wheels),
+            Self::Base(kind, base) => (kind, base),
+        };
         let imu_from_base = static_transforms(bag).between(&imu_frame(bag, imu?), base)?;
         Some(WheelSensor::of_base_velocity(*kind, imu_from_base))
     }
@@ -69,7 +86,7 @@ impl WheelTopic {
         let values = Values::new(bag, topic, move |bag: &Bag, topic, message: Stamped| {
             let place = message.place;
             let reading = match &mut how {
-                Self::Joints(reader) => {
+                Self::Joints(reader) | Self::Recorded(reader, _) => {
                     let joints = messages::read::<JointState>(bag, topic, place).ok()?;
                     // The first positions have no speed yet.
                     return Some(reader.reading(message.stamp_ns, &joints));

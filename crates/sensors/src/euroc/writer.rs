@@ -193,7 +193,7 @@ fn gnss_rows(out: &mut Out, readings: &[GnssReading]) -> std::io::Result<()> {
 }
 
 /// Without the origin: the positions that are written are in the frame of the map.
-fn gnss_yaml(out: &mut Out, gnss: &GnssSensor) -> std::io::Result<()> {
+pub(crate) fn gnss_yaml(out: &mut impl Write, gnss: &GnssSensor) -> std::io::Result<()> {
     let list = |values: &Vector3<f64>| format!("[{}, {}, {}]", values.x, values.y, values.z);
     writeln!(out, "sensor_type: gnss")?;
     writeln!(out, "antenna: {}", list(&gnss.antenna_in_imu))?;

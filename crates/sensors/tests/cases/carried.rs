@@ -12,7 +12,7 @@ use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, encode};
 use sensors::ros::{RosSensors, camera_info_message, imu_message, pixels_message};
 use sensors::ros_bag::{RosBagWriter, message_type};
-use sensors::{CalibrationFiles, ImuNoise, ImuSensor, Recording};
+use sensors::{CalibrationFiles, ImuNoise, ImuSensor, Recording, SensorCalibration};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 use vision::GrayImage;
@@ -81,7 +81,8 @@ impl Carried {
         let path = folder.path().join("drive.mcap");
         let mut bag = RosBagWriter::create(&path, bags::Format::Mcap).unwrap();
         if let Some(imu) = &self.imu {
-            bag.write_sensors(&RosSensors::new(&[self.imu_frame.to_owned()], &[]), Some(imu)).unwrap();
+            let calibration = SensorCalibration { imu: Some(imu.clone()), ..SensorCalibration::default() };
+            bag.write_sensors(&RosSensors::new(&[self.imu_frame.to_owned()], &[]), &calibration).unwrap();
         }
         if !self.transforms.is_empty() {
             put(&mut bag, "/tf_static", START_NS, &TFMessage { transforms: self.transforms.clone() });
