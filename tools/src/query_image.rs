@@ -1,5 +1,6 @@
 //! The image of a query, from a file or from a recording, with its features.
 
+use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -93,13 +94,15 @@ impl RecordedQueries {
     /// Reads images of camera 0, or their features where the recording has them, and extracts features.
     ///
     /// # Arguments
+    /// * `within_s`: from when to when, seconds from the first frame.
     /// * `period_s`: they are at least so far apart, seconds.
     ///
     /// # Errors
-    /// A recording that cannot be read or has neither features nor images; weights or a mask that cannot be read.
+    /// A recording that cannot be read or has neither features nor images there; weights or a mask that cannot be read.
     pub fn read(
         recording: &Path,
         files: &CalibrationFiles,
+        within_s: Range<f64>,
         period_s: f64,
         arguments: &FeatureArguments,
     ) -> Result<Self> {
@@ -109,7 +112,9 @@ impl RecordedQueries {
         let masks = arguments.read_masks()?;
         let mut queries: Vec<(i64, LocalizeRequest)> = Vec::new();
         let is_usable = usable(&sequence);
-        for frame in sequence.frames.iter().filter(|frame| is_usable(frame)) {
+        let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+        let is_within = |frame: &&Frame| within_s.contains(&((frame.stamp_ns - first_ns) as f64 * 1e-9));
+        for frame in sequence.frames.iter().filter(is_within).filter(|frame| is_usable(frame)) {
             let is_due =
                 |(last, _): &(i64, LocalizeRequest)| (frame.stamp_ns - last) as f64 >= period_s * 1e9;
             if !queries.last().is_none_or(is_due) {

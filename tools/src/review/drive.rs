@@ -64,7 +64,9 @@ impl Drive {
         let mut robot = robot.clone();
         robot.features = robot.features.or_of_map(&map.info().extractor);
         let files = calibration.files();
-        let images = RecordedQueries::read(recording, &files, period_s, &robot.features)?;
+        let end_s = robot.duration.map_or(f64::INFINITY, |duration_s| robot.start_at + duration_s);
+        let images =
+            RecordedQueries::read(recording, &files, robot.start_at..end_s, period_s, &robot.features)?;
         let name = recording.display().to_string();
         Ok(Self { recording: recording.to_owned(), name, files, robot, images })
     }
