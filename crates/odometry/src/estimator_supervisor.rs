@@ -8,6 +8,7 @@ use estimator::{
     InitMethod, InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, LearnedWheels,
     Localization, Status, TrackObservation, WheelReading,
 };
+use sensors::push_newest;
 use std::collections::VecDeque;
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
@@ -141,10 +142,7 @@ impl EstimatorSupervisor {
     pub fn wheels(&mut self, reading: WheelReading) {
         match &mut self.phase {
             Phase::Initializing(_) => {
-                if self.wheel_readings.len() == MAX_WHEEL_READINGS {
-                    self.wheel_readings.pop_front();
-                }
-                self.wheel_readings.push_back(reading);
+                push_newest(&mut self.wheel_readings, reading, MAX_WHEEL_READINGS);
             }
             Phase::Running(estimator) => {
                 let _ = estimator.wheels(reading);

@@ -132,7 +132,7 @@ pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, ReferencePosition, TruthRow, TruthTrack};
 pub use types::{
     BaseKind, Encoder, EncoderCounts, EncoderError, GnssReading, ImuNoise, ImuSample, MAX_WHEELS,
-    TrackObservation, WheelBase, WheelReading,
+    TrackObservation, WheelBase, WheelReading, push_newest,
 };
 pub use wheel_intake::{WheelIntake, WheelProblem};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

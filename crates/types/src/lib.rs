@@ -9,6 +9,7 @@
 //! | `track` | [`TrackObservation`], a feature that a front end follows |
 //! | [`descriptors`] | [`DescriptorKind`], [`DescriptorFormat`], [`Descriptors`] |
 //! | [`features`] | [`FeatureSet`], pixels and descriptors of one image |
+//! | `newest` | [`push_newest`], for queues that keep the newest |
 //! | [`bounded`] | lists that are refused at the first element too many |
 //!
 //! Times are nanoseconds. Pixels are distorted, as measured; (0, 0) is the centre of the top-left pixel.
@@ -21,6 +22,7 @@ pub mod features;
 mod gnss;
 mod ids;
 mod imu;
+mod newest;
 mod track;
 mod wheels;
 
@@ -29,6 +31,7 @@ pub use features::FeatureSet;
 pub use gnss::GnssReading;
 pub use ids::{KeyframeId, LandmarkId};
 pub use imu::{ImuNoise, ImuSample};
+pub use newest::push_newest;
 pub use track::TrackObservation;
 pub use wheels::{
     BaseKind, Encoder, EncoderCounts, EncoderError, MAX_WHEEL_PARAMETERS, MAX_WHEELS, WheelBase, WheelReading,

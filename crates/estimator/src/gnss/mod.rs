@@ -24,7 +24,7 @@ use measurement::Between;
 use nalgebra::Matrix3;
 use report::GnssCounts;
 use std::collections::VecDeque;
-use types::GnssReading;
+use types::{GnssReading, push_newest};
 use watch::GnssWatch;
 
 /// Clones whose times are remembered.
@@ -111,19 +111,12 @@ impl Gnss {
         self.newest_ns = Some(stamp_ns);
         reading.stamp_ns += (self.config.time_offset_s * 1e9).round() as i64;
         reading.covariance += Matrix3::identity() * self.config.least_sigma_m.powi(2);
-        if self.waiting.len() == MAX_WAITING {
-            self.waiting.pop_front();
-            self.counts.late += 1;
-        }
-        self.waiting.push_back(reading);
+        self.counts.late += usize::from(push_newest(&mut self.waiting, reading, MAX_WAITING));
         Ok(())
     }
 
     pub(crate) fn add_clone(&mut self, id: CloneId, stamp_ns: i64) {
-        if self.clones.len() == MAX_CLONES {
-            self.clones.pop_front();
-        }
-        self.clones.push_back((id, stamp_ns));
+        push_newest(&mut self.clones, (id, stamp_ns), MAX_CLONES);
     }
 
     /// The oldest reading that has a clone behind it, with the clones about it.
@@ -156,10 +149,7 @@ impl Gnss {
         if last_ns.is_some_and(|last_ns| located.stamp_ns - last_ns < LOCATED_EVERY_NS) {
             return;
         }
-        if self.located.len() == MAX_LOCATED {
-            self.located.pop_front();
-        }
-        self.located.push_back(located);
+        push_newest(&mut self.located, located, MAX_LOCATED);
     }
 
     /// The covariance that a reading is used with: its own, inflated for what it has in common with the one that was used before.

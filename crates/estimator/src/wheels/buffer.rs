@@ -1,7 +1,7 @@
 //! Readings of the wheels that wait for the images before and after them.
 
 use std::collections::VecDeque;
-use types::WheelReading;
+use types::{WheelReading, push_newest};
 
 /// Longest time between two readings that is interpolated, nanoseconds.
 const MAX_GAP_NS: i64 = 250_000_000;
@@ -85,10 +85,7 @@ impl WheelBuffer {
         if let Some(previous) = self.readings.back().filter(|previous| previous.stamp_ns >= stamp_ns) {
             return Err(BadWheelReading::NotNewer { stamp_ns, previous_ns: previous.stamp_ns });
         }
-        if self.readings.len() == MAX_READINGS {
-            self.readings.pop_front();
-        }
-        self.readings.push_back(reading);
+        push_newest(&mut self.readings, reading, MAX_READINGS);
         Ok(())
     }
 

@@ -2,7 +2,9 @@
 
 use super::imu_window::{Checked, ImuWindow};
 use sensors::live::LiveReport;
-use sensors::{Frame, GnssReading, PairCounts, SensorError, SensorEvent, SensorSource, WheelReading};
+use sensors::{
+    Frame, GnssReading, PairCounts, SensorError, SensorEvent, SensorSource, WheelReading, push_newest,
+};
 use std::collections::VecDeque;
 
 /// A frame waits for the reading after it for so long at most, nanoseconds of sensor time. An IMU that is silent for
@@ -124,16 +126,10 @@ impl<'a> SensorQueue<'a> {
             Ok(Some(SensorEvent::Imu(reading))) => self.imu.read_ahead(reading),
             Ok(Some(SensorEvent::Frame(frame))) => self.frames.push_back(frame),
             Ok(Some(SensorEvent::Wheels(reading))) => {
-                if self.wheels.len() == MAX_WHEEL_READINGS {
-                    self.wheels.pop_front();
-                }
-                self.wheels.push_back(reading);
+                push_newest(&mut self.wheels, reading, MAX_WHEEL_READINGS);
             }
             Ok(Some(SensorEvent::Gnss(reading))) => {
-                if self.gnss.len() == MAX_GNSS_READINGS {
-                    self.gnss.pop_front();
-                }
-                self.gnss.push_back(reading);
+                push_newest(&mut self.gnss, reading, MAX_GNSS_READINGS);
             }
             Ok(Some(SensorEvent::Tick)) => return Read::Tick,
             // Other sensors are of no use to the estimator.

@@ -12,7 +12,7 @@ use super::stream::{Stream, check_stamp};
 use crate::imu_intake::ImuIntake;
 use crate::{
     CameraSensor, GnssReading, ImuSample, PairCounts, SensorCalibration, TrackObservation, WheelReading,
-    camera_groups,
+    camera_groups, push_newest,
 };
 use protocol::FeatureSet;
 use std::collections::{BTreeMap, VecDeque};
@@ -233,10 +233,7 @@ impl LiveBuffer {
             if let Some(tap) = &self.tap {
                 let _ = tap.try_send(reading);
             }
-            if self.readings.len() == MAX_READINGS {
-                self.readings.pop_front();
-            }
-            self.readings.push_back(reading);
+            push_newest(&mut self.readings, reading, MAX_READINGS);
         }
     }
 

@@ -4,6 +4,7 @@ use super::clock::{Admitted, StreamClock};
 use super::fault::{FaultKind, FaultLog, LiveFault};
 use super::stream::Stream;
 use super::watch::{SILENT, StreamWatch};
+use crate::push_newest;
 use crate::stamps::CONFIRMING_NS;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -98,10 +99,7 @@ impl<T> Lane<T> {
             faults.note(self.stream, FaultKind::Duplicate, now, problem);
             return false;
         }
-        if self.recent.len() == RECENT {
-            self.recent.pop_front();
-        }
-        self.recent.push_back(stamp_ns);
+        push_newest(&mut self.recent, stamp_ns, RECENT);
         self.watch.accepted(stamp_ns);
         true
     }

@@ -3,7 +3,7 @@
 use super::fault::{FaultKind, FaultLog, LiveFault};
 use super::lane::{Jump, Lane};
 use super::stream::{Stream, check_stamp};
-use crate::{GnssReading, WheelReading};
+use crate::{GnssReading, WheelReading, push_newest};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -94,10 +94,7 @@ impl<T: SideReading> SideStream<T> {
             return;
         }
         for (stamp_ns, reading) in self.lane.admit((stamp_ns, reading), now, newest_jump, faults) {
-            if self.readings.len() == MAX_READINGS {
-                self.readings.pop_front();
-            }
-            self.readings.push_back(reading.at(stamp_ns));
+            push_newest(&mut self.readings, reading.at(stamp_ns), MAX_READINGS);
         }
     }
 

@@ -1,5 +1,6 @@
 //! Watches whether a stream comes, and at which rate.
 
+use crate::push_newest;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -47,10 +48,7 @@ impl StreamWatch {
 
     /// A message was accepted.
     pub(super) fn accepted(&mut self, stamp_ns: i64) {
-        if self.stamps.len() == self.capacity {
-            self.stamps.pop_front();
-        }
-        self.stamps.push_back(stamp_ns);
+        push_newest(&mut self.stamps, stamp_ns, self.capacity);
         self.measured_ns = self.measure();
     }
 
