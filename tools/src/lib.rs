@@ -4,6 +4,7 @@
 //! can do the same without a shell.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod benchmark;
 pub mod calibration_check;
 pub mod cli;
 pub mod command;

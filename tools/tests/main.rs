@@ -1,6 +1,8 @@
 //! All integration tests of the crate, in one program.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+#[cfg(unix)]
+mod bench;
 #[path = "../../crates/viewer/tests/common/browser.rs"]
 mod browser;
 mod calibration;

@@ -18,6 +18,7 @@
 //! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `stored_poses`, `stored_landmarks` |
+//! | a map is moved into another frame | `map_frame` |
 //! | two maps of one place are merged | `merging`, `stored_poses`, `stored_landmarks` |
 //!
 //! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
@@ -45,6 +46,7 @@ mod joint_covariance;
 mod keyframe_selection;
 mod keyframe_view;
 mod loop_closure;
+mod map_frame;
 mod matching;
 mod merging;
 mod odometry;
@@ -79,6 +81,7 @@ pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
 pub use extension::{ExtendError, ExtensionReport, extend_map};
 pub use feature_source::Extraction;
+pub use map_frame::map_in_frame;
 pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;
 pub use options::{BuildOptions, StoredPoses};

@@ -34,7 +34,7 @@
 //! DIR/mav0/cam0/tracks.csv                               tracked points: time, feature id, pixel; cam1 alike
 //! DIR/mav0/cam0/features.csv                             features for place recognition: time, pixel, descriptor
 //! DIR/mav0/wheels0/{data.csv,sensor.yaml}                the wheels of a differential drive, if there are any; the geometry may be missing
-//! DIR/mav0/state_groundtruth_estimate0/data.csv          ground truth, if known
+//! DIR/mav0/state_groundtruth_estimate0/data.csv          ground truth, if known; or mav0/mocap0/data.csv (TUM-VI)
 //! DIR/reference_poses.csv                                poses to build a map from, if there are any
 //! ```
 //! The body frame is the IMU's. In place of the `sensor.yaml` files, Kalibr's camera chain and `imu.yaml` may lie in `DIR`,

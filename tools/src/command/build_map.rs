@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::bail;
+use clap::Parser as _;
 use nalgebra::Vector3;
 use onboard::arguments::{CalibrationArguments, FeatureArguments};
 use sensors::{ReferencePose, Sequence, check_stereo};
@@ -16,6 +17,7 @@ use super::import_map::parse_direction;
 use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
+use map::contents::MapContents;
 use map::store::{MapTarget, load_map};
 use mapping::{
     BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
@@ -127,6 +129,31 @@ pub struct Args {
     pub json: bool,
 }
 
+impl Args {
+    /// Those of `driftless build-map REC --map DB --poses none`.
+    ///
+    /// # Errors
+    /// None, as long as the switches are as they are spelled here.
+    pub(crate) fn without_poses(
+        recording: &Path,
+        map: &Path,
+        calibration: &CalibrationArguments,
+        features: &FeatureArguments,
+    ) -> anyhow::Result<Self> {
+        let line = ["build-map".as_ref(), recording.as_os_str(), "--map".as_ref(), map.as_os_str()];
+        let line = line.into_iter().chain(["--poses".as_ref(), "none".as_ref()]);
+        let args = CommandLine::try_parse_from(line)?.args;
+        Ok(Self { calibration: calibration.clone(), features: features.clone(), ..args })
+    }
+}
+
+/// The arguments by themselves.
+#[derive(clap::Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    args: Args,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -135,41 +162,10 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let target = MapTarget::new(&args.map, args.force || args.extend)?;
     let stored = if args.extend { Some(load_map(&args.map)?.contents) } else { None };
-    let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
-    if !args.mono {
-        check_stereo(&sequence.cameras, || Ok(sequence.frames.iter().cloned().map(Ok)))?;
-    }
-    let mut options = options(&args)?;
-    let references = if args.extend { None } else { references(&args, &sequence)? };
-    let priors = args.priors.read(args.sigma_theta, args.sigma_p)?;
-    let start = Instant::now();
     let mut bar = StageBar::new(args.json);
-    let mut show = |stage: Stage, done: usize, all: usize| bar.show(stage, done, all);
-    let cameras = if args.mono { 1 } else { sequence.cameras.len() };
-    let from_images = sequence.has_images() && !sequence.has_features();
-    let features = args.features.or_of_map(stored.as_ref().map_or("", |map| &map.info.extractor));
-    let mut extractors = if from_images { features.open_several()? } else { Vec::new() };
-    let masks = args.features.read_masks()?;
-    let (contents, mut report) = if let Some(references) = references {
-        let extraction = extraction_of(&mut extractors, &masks, cameras, &args);
-        let (contents, report) = build_map(&sequence, &references, extraction, &options, &mut show)?;
-        (contents, Report::Built(Box::new(report)))
-    } else {
-        let extraction = extraction_of(&mut extractors, &masks, cameras, &args);
-        let odometry = odometry(&mut sequence, extraction, &args, &mut options, &mut show)?;
-        let extraction = extraction_of(&mut extractors, &masks, cameras, &args);
-        if let Some(stored) = &stored {
-            let (contents, report) =
-                extend_map(stored, &sequence, &odometry, extraction, &options, &mut show)?;
-            (contents, Report::Extended(report))
-        } else {
-            let (contents, report) =
-                build_map_from_odometry(&sequence, &odometry, &priors, extraction, &options, &mut show)?;
-            (contents, Report::Built(Box::new(report)))
-        }
-    };
+    let (contents, report) =
+        build(&args, stored.as_ref(), &mut |stage, done, all| bar.show(stage, done, all))?;
     let times = bar.finish();
-    report.set_seconds(start.elapsed().as_secs_f64());
     let saved = target.save(&contents)?;
     if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
@@ -190,10 +186,56 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The map that the arguments ask for.
+///
+/// # Arguments
+/// * `stored`: the map that is extended, if one is.
+///
+/// # Errors
+/// As of [`run`], but for the database.
+pub(crate) fn build(
+    args: &Args,
+    stored: Option<&MapContents>,
+    show: Progress<'_>,
+) -> anyhow::Result<(MapContents, Report)> {
+    let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
+    if !args.mono {
+        check_stereo(&sequence.cameras, || Ok(sequence.frames.iter().cloned().map(Ok)))?;
+    }
+    let mut options = options(args)?;
+    let references = if args.extend { None } else { references(args, &sequence)? };
+    let priors = args.priors.read(args.sigma_theta, args.sigma_p)?;
+    let start = Instant::now();
+    let cameras = if args.mono { 1 } else { sequence.cameras.len() };
+    let from_images = sequence.has_images() && !sequence.has_features();
+    let features = args.features.or_of_map(stored.map_or("", |map| &map.info.extractor));
+    let mut extractors = if from_images { features.open_several()? } else { Vec::new() };
+    let masks = args.features.read_masks()?;
+    let (contents, mut report) = if let Some(references) = references {
+        let extraction = extraction_of(&mut extractors, &masks, cameras, args);
+        let (contents, report) = build_map(&sequence, &references, extraction, &options, show)?;
+        (contents, Report::Built(Box::new(report)))
+    } else {
+        let extraction = extraction_of(&mut extractors, &masks, cameras, args);
+        let odometry = odometry(&mut sequence, extraction, args, &mut options, show)?;
+        let extraction = extraction_of(&mut extractors, &masks, cameras, args);
+        if let Some(stored) = stored {
+            let (contents, report) = extend_map(stored, &sequence, &odometry, extraction, &options, show)?;
+            (contents, Report::Extended(report))
+        } else {
+            let (contents, report) =
+                build_map_from_odometry(&sequence, &odometry, &priors, extraction, &options, show)?;
+            (contents, Report::Built(Box::new(report)))
+        }
+    };
+    report.set_seconds(start.elapsed().as_secs_f64());
+    Ok((contents, report))
+}
+
 /// Statistics of the map.
 #[derive(serde::Serialize)]
 #[serde(untagged)]
-enum Report {
+pub(crate) enum Report {
     Built(Box<BuildReport>),
     Extended(ExtensionReport),
 }
@@ -318,13 +360,6 @@ fn check_sigma_theta(sigma_theta: Option<f64>) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct CommandLine {
-        #[command(flatten)]
-        args: Args,
-    }
 
     fn args(switches: &str) -> Args {
         let line = ["build-map", "REC", "--map", "m.db"].into_iter().chain(switches.split_whitespace());

@@ -2,6 +2,7 @@
 
 use clap::Subcommand;
 
+pub mod bench;
 pub mod build_map;
 mod build_report;
 pub mod check_calibration;
@@ -149,6 +150,8 @@ pub enum Command {
     Evaluate(evaluate::Args),
     /// Run the filter many times in simulation and test its consistency (NEES)
     Montecarlo(montecarlo::Args),
+    /// Map one recording of a dataset, localize the others in it, and print the table
+    Bench(Box<bench::Args>),
     /// Draw the plots of a run
     Plot(plot::Args),
     /// Show a map or a run in the browser
@@ -180,6 +183,7 @@ impl Command {
             Self::PublishMap(args) => publish_map::run(&args),
             Self::ListReleases(args) => releases::list(&args),
             Self::DiffReleases(args) => releases::diff(&args),
+            Self::Bench(args) => bench::run(args.as_ref()),
             Self::ReviewRelease(args) => review_release::run(args.as_ref()),
             Self::PromoteRelease(args) => stages::promote(&args),
             Self::RejectRelease(args) => stages::reject(&args),

@@ -21,12 +21,13 @@ use adjustment::{Bundle, LandmarkTie, RelativePose};
 use geometry::pose::Pose;
 use geometry::rotation::exp;
 use map::contents::MapContents;
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::aliasing::find_aliases;
 use crate::error::BuildError;
 use crate::loop_closure::consistent;
+use crate::map_frame::map_in_frame;
 use crate::options::BuildOptions;
 use crate::places::{MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
 use crate::progress::Progress;
@@ -113,7 +114,7 @@ pub fn merge_maps(
         return Err(not_connected(&report));
     }
     let mut to_first = alignment.global_from_recording;
-    let mut aligned = moved(second, &to_first);
+    let mut aligned = map_in_frame(second, &to_first);
     copy_poses(&aligned, &mut poses);
     let (places, tied) = tied_keyframes(first, second, &features, alignment.agreeing);
     report.tied_keyframes = [tied[1].len(), tied[0].len()];
@@ -127,7 +128,7 @@ pub fn merge_maps(
     let mut constraints = Constraints::default();
     for _ in 0..ALIGNMENTS {
         to_first = aligned_better(&aligned, &bundle.poses).compose(&to_first);
-        aligned = moved(second, &to_first);
+        aligned = map_in_frame(second, &to_first);
         copy_poses(&aligned, &mut bundle.poses);
         adjuster.stored = Adjuster::stored_poses(first, &aligned, &adjuster.tied)?;
         let ties = landmarks::ties(first, &aligned, &features, &places, &bundle.poses);
@@ -231,30 +232,6 @@ fn aligned_better(map: &MapContents, poses: &[Pose]) -> Pose {
     let rotation = exp(&Vector3::new(0.0, 0.0, turn));
     let apart = pairs().map(|(before, after)| after.translation - rotation * before.translation);
     Pose::new(rotation, apart.sum::<Vector3<f64>>() / count)
-}
-
-/// The map in another frame.
-///
-/// # Arguments
-/// * `to_frame`: from the frame of the map.
-fn moved(map: &MapContents, to_frame: &Pose) -> MapContents {
-    let mut moved = map.clone();
-    let rotation = to_frame.rotation.to_rotation_matrix().into_inner();
-    let mut both = Matrix6::zeros();
-    both.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    both.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-    for keyframe in &mut moved.keyframes {
-        let stated = &mut keyframe.global_from_keyframe;
-        stated.pose = to_frame.compose(&stated.pose);
-        stated.covariance = both * stated.covariance * both.transpose();
-    }
-    for cross in &mut moved.cross_covariances {
-        cross.block = both * cross.block * both.transpose();
-    }
-    for common in &mut moved.common_errors {
-        common.factor = both * &common.factor;
-    }
-    moved
 }
 
 /// Adjusts the poses of both maps: those of the second one come first.

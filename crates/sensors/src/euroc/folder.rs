@@ -147,8 +147,11 @@ fn gnss_path(root: &Path) -> PathBuf {
     root.join("mav0/gnss0/data.csv")
 }
 
+/// The ground truth: TUM-VI has the same table under another name, without velocities and biases.
 fn truth_path(root: &Path) -> PathBuf {
-    root.join("mav0/state_groundtruth_estimate0/data.csv")
+    let motion_capture = root.join("mav0/mocap0/data.csv");
+    let usual = root.join("mav0/state_groundtruth_estimate0/data.csv");
+    if !usual.exists() && motion_capture.exists() { motion_capture } else { usual }
 }
 
 fn reference_path(root: &Path) -> PathBuf {
