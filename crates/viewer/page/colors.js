@@ -1,8 +1,9 @@
-// Colours of robots and states: those of Okabe and Ito, which people with any colour vision tell apart.
+// Colours of robots and states, after those of Okabe and Ito, which people with any colour vision tell apart. Green, amber and
+// orange say how a robot is, and are nobody's colour.
 
 const ROBOTS = {
-  dark: ["#56b4e9", "#e69f00", "#cc79a7", "#f0e442", "#2fbf94", "#ff7f3f", "#5c9dff"],
-  light: ["#0072b2", "#d55e00", "#a3447c", "#8a7a00", "#009e73", "#b37a00", "#3b62c4"],
+  dark: ["#56b4e9", "#cc79a7", "#f0e442", "#b79cff", "#d8bfa0", "#5c8dff", "#ff9ed2", "#9be0f5", "#c7b83a"],
+  light: ["#0072b2", "#a3447c", "#7a6a00", "#6a45c0", "#7d5a3c", "#2f4fd0", "#c2187a", "#00708a", "#5a5a00"],
 };
 
 export function theme() {
@@ -24,6 +25,10 @@ export const STATES = {
   odometry_only: "◐ odometry only",
   lost: "✕ lost",
   starting: "◌ starting",
+  silent: "△ silent",
+  unreachable: "▽ unreachable",
+  nothing: "◌ no status",
+  unknown: "? not known",
   gone: "○ gone",
 };
 

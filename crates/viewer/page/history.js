@@ -1,6 +1,5 @@
 // The last hour: the slider goes back in it, a button returns to the present.
 import { Timeline, indexAt } from "./timeline.js";
-import { STATES } from "./colors.js";
 
 // A robot without a sample for so many steps was not there.
 const MISSED_STEPS = 10;
@@ -10,6 +9,16 @@ const pad = (number) => `${number}`.padStart(2, "0");
 export function clockText(t) {
   const date = new Date(1000 * t);
   return `${pad(date.getHours())}:${pad(date.getMinutes())}:${pad(date.getSeconds())}`;
+}
+
+// With date and time zone.
+export function dateText(t) {
+  const date = new Date(1000 * t);
+  const day = date.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
+  const minutes = -date.getTimezoneOffset();
+  const [hours, rest] = [Math.floor(Math.abs(minutes) / 60), Math.abs(minutes) % 60];
+  const zone = minutes === 0 ? "UTC" : `UTC${minutes < 0 ? "−" : "+"}${hours}${rest ? `:${pad(rest)}` : ""}`;
+  return `${day}, ${clockText(t)} ${zone}`;
 }
 
 // A time of a link: seconds since 1970, or as in 2026-05-01T12:00:00Z; NaN for what is neither.
@@ -56,7 +65,7 @@ export class History {
     this.timeline = new Timeline({
       steps: 1,
       onSeek: (t) => this.show(t),
-      describe: (t) => (this.isLive ? clockText(t) : this.describe(t)),
+      describe: (t) => (this.isLive ? dateText(t) : this.describe(t)),
       // What was asked for may still be loading.
       onSettle: () => onSettle(this.isLive ? null : this.wanted),
       onInput: (t, isEnd) => this.onInput(t, isEnd),
@@ -79,7 +88,7 @@ export class History {
   describe(t) {
     const ago = Math.max(Math.round(this.timeline.to - t), 0);
     const step = this.step > 1 ? `, every ${this.step} s` : "";
-    return `${clockText(t)}, ${Math.floor(ago / 60)}:${pad(ago % 60)} min ago${step}`;
+    return `${dateText(t)}, ${Math.floor(ago / 60)}:${pad(ago % 60)} min ago${step}`;
   }
 
   // The time of a message.
@@ -146,7 +155,7 @@ export class History {
       const isThere = point && t - point.t <= MISSED_STEPS * Math.max(this.step, 1);
       robot.setPast(isThere ? point.pose : null, point?.trail ?? 0);
       const change = changes[indexAt(changes, t)];
-      robot.past = pastOf(name, isThere ? point : null, change);
+      robot.past = pastOf(name, isThere ? point : null, change, t);
     }
     this.onShown(t);
   }
@@ -175,13 +184,14 @@ export class History {
 }
 
 // A robot of the past, in the form in which it is published.
-function pastOf(name, point, change) {
-  const state = point?.state ?? change?.state ?? "unknown";
-  const isKnown = state in STATES && state !== "gone";
+function pastOf(name, point, change, t) {
+  const state = point?.state ?? change?.state ?? "nothing";
+  const isStated = !["gone", "silent", "unknown", "nothing"].includes(state);
   return {
     robot: name,
-    is_online: state !== "gone",
-    status: isKnown ? { state, reason: change?.state === state ? change.reason : "" } : null,
+    state: state === "unknown" ? "nothing" : state,
+    status: isStated ? { state, reason: change?.state === state ? change.reason : "", age_s: 0 } : null,
+    heard_age_s: change && !isStated ? t - change.t : 0,
     pose: point?.pose ? { global_from_imu: point.pose, age_s: 0 } : null,
     queries: point ? `${point.matched} queries recognized, ${point.unmatched} not` : "",
   };

@@ -2,10 +2,13 @@
 import { Scene } from "./scene.js";
 import { MapLayer } from "./map_layer.js";
 import { Robot } from "./robot_layer.js";
-import { Panel, STALE_S, stateOf } from "./panel.js";
+import { Panel } from "./panel.js";
+import { Fleet, SILENT_S, alarmOf, stateOf } from "./presence.js";
+import { keysOf } from "./names.js";
+import { load } from "./load.js";
 import { followLive } from "./live.js";
 import { Replay } from "./replay.js";
-import { History, linkOfTime, timeOfLink } from "./history.js";
+import { History, clockText, linkOfTime, timeOfLink } from "./history.js";
 import { Queries } from "./queries.js";
 import { ImageQuery } from "./image_query.js";
 import { QueryLayer } from "./query_layer.js";
@@ -24,6 +27,8 @@ const visible = {};
 const robots = new Map();
 const answersSeen = new Map();
 const panel = new Panel((name) => follow(name));
+const fleet = new Fleet((name) => name !== followed && follow(name));
+let keys = new Map();
 let maps = [];
 let shown = null;
 let followed = null;
@@ -39,8 +44,14 @@ let imageQuery = null;
 // So many landmarks are loaded: 12 MB.
 const LANDMARKS = 1000000;
 
-// What the page shows, for tests and for the console.
-window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, time: { isLive: true, t: null } };
+const DESCRIBE_MS = 200;
+// Where there are more robots, only those with an alarm have their names in the map.
+const MOST_LABELS = 40;
+// A server begins to search images some time after it has shown its map.
+const OFFER_MS = 3000;
+
+// What the page shows, and where no panel covers the map; for tests and for the console.
+window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, time: { isLive: true, t: null }, free: () => scene.free };
 
 const link = () => new URLSearchParams(location.hash.slice(1));
 
@@ -73,8 +84,8 @@ async function showMap(name, isNew = true) {
   if (!map) return;
   byId("map").value = map.name;
   const path = `api/maps/${encodeURIComponent(map.name)}`;
-  const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), fetch(`${path}/landmarks?limit=${LANDMARKS}`)]);
-  const landmarks = new Float32Array(await response.arrayBuffer());
+  const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), load(`${path}/landmarks?limit=${LANDMARKS}`)]);
+  const landmarks = new Float32Array(response);
   const up = (map.gravity_in_global ?? [0, 0, -1]).map((value) => -value);
   shown = { name: map.name, version: map.version, revision: map.revision };
   scene.setUp(up);
@@ -99,9 +110,12 @@ function counted(all, drawn) {
 function robotOf(name) {
   let robot = robots.get(name);
   if (!robot) {
-    robot = new Robot(scene, name, robots.size, visible);
+    robot = new Robot(scene, name, visible);
     robots.set(name, robot);
-    panel.add(name, robot.index);
+    panel.add(name);
+    keys = keysOf(robots.keys());
+    panel.setKeys(keys);
+    panel.isSorted = false;
     queries?.addRobot(name);
     window.driftless.counts.robots = robots.size;
     if (link().get("robot") === name || (!shown && !replay && !followed)) follow(name);
@@ -114,7 +128,7 @@ function onUpdate(update) {
   for (const published of update.robots) {
     const robot = robotOf(published.robot);
     const { published: before } = robot;
-    if (before?.is_online === false && published.is_online) robot.restartOdometry();
+    if (before?.has_ended && !published.has_ended) robot.restartOdometry();
     robot.published = published;
     robot.received = performance.now();
     if (past.isLive) showPublished(robot, before === undefined);
@@ -155,7 +169,7 @@ function onTime(t) {
   window.driftless.time = { isLive: t === null, t };
   queries.setUntil(t);
   serverChart.setUntil(t);
-  panelDue = 0;
+  describeAll();
 }
 
 // The map's history.
@@ -231,6 +245,10 @@ const ACTIONS = {
   fit: () => { letGo(); scene.fit(); },
   top: () => { letGo(); scene.top(); },
   theme: () => setTheme(theme() === "dark" ? "light" : "dark"),
+  legend: () => {
+    const isOpen = document.documentElement.classList.toggle("has-legend");
+    byId("legend-button").setAttribute("aria-expanded", isOpen);
+  },
   image: () => {
     tabs?.choose("queries");
     if (imageQuery?.isOffered) byId("image-file").focus();
@@ -262,7 +280,7 @@ const KEYS = {
 function onKey(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, textarea")) return;
   if (event.target.closest("input[type=range]") && /^(Arrow|Page|Home|End)/.test(event.key)) return;
-  const robot = [...robots.keys()][Number(event.key) - 1];
+  const robot = [...keys].find(([, key]) => key === Number(event.key))?.[0];
   if (/^[1-9]$/.test(event.key)) {
     if (robot) follow(robot);
   } else if (KEYS[event.key] && !(event.key === " " && event.target.closest("button, input:not([type=range])"))) {
@@ -302,20 +320,26 @@ function bind() {
 
 function describe(robot, now) {
   const isPast = past && !past.isLive;
-  if (!isPast && !robot.published) return;
-  const gone = { robot: robot.name, is_online: false };
-  // Without the server nobody knows of a robot's silence.
-  const isLost = !isPast && !window.driftless.isConnected && now - robot.received > 1000 * STALE_S;
-  const present = isLost ? { ...robot.published, is_online: false } : robot.published;
-  const published = isPast ? robot.past ?? gone : present;
+  if (!isPast && !robot.published) return null;
+  const published = isPast ? robot.past ?? { robot: robot.name, state: "nothing", heard_age_s: 0 } : robot.published;
   const elapsed_s = isPast ? 0 : (now - robot.received) / 1000;
-  panel.update(published, elapsed_s);
-  const sign = (STATES[stateOf(published)] ?? "").slice(0, 1);
-  robot.setState(sign, !published.pose || published.pose.age_s + elapsed_s > STALE_S);
+  const state = isPast ? published.state : stateOf(published, elapsed_s, window.driftless.isConnected);
+  panel.update(published, state, elapsed_s, robot.heading(scene.up));
+  robot.setState(state, (STATES[state] ?? "").slice(0, 1), !published.pose || published.pose.age_s + elapsed_s > SILENT_S);
+  const alarm = isPast ? null : alarmOf(state, published, elapsed_s);
+  robot.isLabelled = robots.size <= MOST_LABELS || alarm !== null || robot.name === followed;
+  return { name: robot.name, state, alarm };
+}
+
+// Also while nothing is drawn.
+function describeAll() {
+  const now = performance.now();
+  fleet.show([...robots.values()].map((robot) => describe(robot, now)).filter(Boolean));
+  if (!panel.isSorted) panel.sort();
+  panel.isSorted = true;
 }
 
 let last = performance.now();
-let panelDue = 0;
 
 function frame(now) {
   replay?.timeline.step((now - last) / 1000);
@@ -324,10 +348,6 @@ function frame(now) {
   const place = robots.get(followed)?.worldPosition();
   if (place) scene.follow(place);
   robots.forEach((robot) => robot.draw(now));
-  if (now >= panelDue) {
-    panelDue = now + 200;
-    for (const robot of robots.values()) describe(robot, now);
-  }
   scene.render();
   requestAnimationFrame(frame);
 }
@@ -360,7 +380,7 @@ function showQuery(query) {
 
 // What was found out about an image that was given to the page.
 function showImage(query) {
-  if (!past.isLive) past.goLive();
+  past?.goLive();
   queries.pin(query);
   const place = query.fix?.position;
   if (!place) return;
@@ -374,6 +394,22 @@ function showNoMap() {
   scene.setUp([0, 0, 1]);
   scene.setPoints([]);
   scene.fit();
+}
+
+// Of a stored map there is nothing to come, but images can be localized in it.
+function showStored() {
+  document.documentElement.classList.add("is-stored");
+  tabs = null;
+  queryLayer = new QueryLayer(scene);
+  queries = new Queries(showQuery);
+  imageQuery = new ImageQuery({ mapName: () => shown?.name ?? null, onGiven: () => {}, onAnswer: showImage });
+  byId("robots").hidden = true;
+  byId("queries").hidden = false;
+  byId("no-queries").textContent = "No image yet.";
+  byId("side").setAttribute("aria-label", "Images");
+  queries.setOpen(true);
+  setInterval(() => offerImages().catch(() => {}), OFFER_MS);
+  offerImages().catch(() => {});
 }
 
 function showLive() {
@@ -400,9 +436,14 @@ function showLive() {
     setLink("tab", name === "robots" ? null : name);
   }, link().get("tab"));
   followLive(onUpdate, (isConnected) => {
+    const isNew = window.driftless.isConnected !== isConnected;
     window.driftless.isConnected = isConnected;
     byId("connection").textContent = isConnected ? "online" : "offline";
+    if (isNew && !isConnected) byId("offline").textContent = `No connection to the map server since ${clockText(past.now())}: how the robots are is not known.`;
+    byId("offline").hidden = isConnected || past.offset === null;
+    describeAll();
   });
+  setInterval(describeAll, DESCRIBE_MS);
 }
 
 async function start() {
@@ -414,7 +455,8 @@ async function start() {
     if (isLive) offerSwitch();
   } else {
     if (!shown) showNoMap();
-    showLive();
+    if (isLive) showLive();
+    else showStored();
   }
   window.driftless.isReady = true;
   requestAnimationFrame(frame);

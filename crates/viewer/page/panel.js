@@ -1,12 +1,7 @@
 // The list of robots.
-import { robotColor, STATES } from "./colors.js";
-
-// Without a message for this long, a robot is silent, and its pose is old.
-export const STALE_S = 3;
-
-export function stateOf(robot) {
-  return robot.is_online ? robot.status?.state : "gone";
-}
+import { robotColor } from "./colors.js";
+import { byName, colorNumber } from "./names.js";
+import { SILENT_S, durationText, stateText } from "./presence.js";
 
 function line(parent, className) {
   const element = document.createElement(className.startsWith("name") || className === "number" ? "span" : "small");
@@ -22,7 +17,7 @@ export class Panel {
     this.onChoose = onChoose;
   }
 
-  add(name, index) {
+  add(name) {
     const item = document.createElement("li");
     const button = document.createElement("button");
     button.className = "robot";
@@ -30,16 +25,29 @@ export class Panel {
     const parts = Object.fromEntries(
       ["number", "name", "state", "reason", "figures", "queries"].map((part) => [part, line(button, part)]));
     parts.name.textContent = name;
-    parts.number.textContent = index < 9 ? `${index + 1}` : "";
     item.append(button);
     this.list.append(item);
-    this.entries.set(name, { button, parts, index });
+    this.entries.set(name, { item, button, parts, name });
     this.applyTheme();
     document.getElementById("no-robots").hidden = true;
   }
 
   applyTheme() {
-    for (const { button, index } of this.entries.values()) button.style.setProperty("--robot", robotColor(index));
+    for (const { button, name } of this.entries.values()) button.style.setProperty("--robot", robotColor(colorNumber(name)));
+  }
+
+  // `keys`: the keys by which robots are followed.
+  setKeys(keys) {
+    for (const { parts, name } of this.entries.values()) set(parts.number, `${keys.get(name) ?? ""}`);
+  }
+
+  // By name; those that are gone at the end. Nothing moves without need, so that a focus stays.
+  sort() {
+    const entries = [...this.entries.values()];
+    entries.sort((a, b) => Number(a.isGone ?? false) - Number(b.isGone ?? false) || byName(a.name, b.name));
+    entries.forEach(({ item }, at) => {
+      if (this.list.children[at] !== item) this.list.insertBefore(item, this.list.children[at] ?? null);
+    });
   }
 
   setFollowed(name) {
@@ -49,14 +57,20 @@ export class Panel {
     }
   }
 
-  // `robot`: as it was received; `elapsed_s` since then.
-  update(robot, elapsed_s) {
-    const { parts } = this.entries.get(robot.robot);
+  // `robot`: as it was received; `elapsed_s` since then; `heading`: in degrees, null where it is not known.
+  update(robot, state, elapsed_s, heading) {
+    const entry = this.entries.get(robot.robot);
+    const { parts } = entry;
     const { status, pose, odometry, answer } = robot;
-    const state = stateOf(robot);
-    set(parts.state, STATES[state] ?? "no status yet");
-    parts.state.className = `state ${state ?? "gone"}`;
-    set(parts.reason, status?.reason ?? "");
+    set(parts.state, stateText(state, robot, elapsed_s));
+    if (entry.state !== state) {
+      entry.state = state;
+      entry.isGone = state === "gone";
+      parts.state.className = `state ${state}`;
+      entry.button.className = `robot of-${state}${entry.button.classList.contains("is-followed") ? " is-followed" : ""}`;
+      this.isSorted = false;
+    }
+    set(parts.reason, status?.state === state ? status.reason : "");
     const figures = [];
     if (pose) {
       const [x, y, z] = pose.global_from_imu.position;
@@ -64,9 +78,10 @@ export class Panel {
       const sigma3 = 3 * Math.sqrt(Math.max((c[0][0] + c[1][1] + c[2][2]) / 3, 0));
       figures.push(`(${x.toFixed(2)}, ${y.toFixed(2)}, ${z.toFixed(2)}) m ± ${sigma3.toFixed(2)} m (3σ)`);
     }
+    if (pose && heading !== null) figures.push(`heading ${heading.toFixed(0)}°`);
     if (odometry) figures.push(`${odometry.speed_mps.toFixed(1)} m/s`);
-    const newest = Math.min(...[pose, odometry, status].filter(Boolean).map((part) => part.age_s)) + elapsed_s;
-    if (newest > STALE_S && newest < Infinity) figures.push(`nothing for ${newest.toFixed(0)} s`);
+    const old_s = pose ? pose.age_s + elapsed_s : 0;
+    if (old_s > SILENT_S) figures.push(`${durationText(old_s)} old`);
     set(parts.figures, figures.join(", "));
     const queries = [];
     if (robot.queries !== undefined) queries.push(robot.queries);

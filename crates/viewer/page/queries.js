@@ -1,5 +1,5 @@
 // The last queries: what the server found out about each, and why it refused it.
-import { clockText } from "./history.js";
+import { clockText, dateText } from "./history.js";
 
 const PERIOD_MS = 1000;
 // Of those that the page keeps, so many are listed.
@@ -147,6 +147,7 @@ export class Queries {
       span.textContent = text;
       button.append(span);
     }
+    button.title = dateText(query.time_ms / 1000);
     // Pinned while others come in; once more lets it go.
     button.addEventListener("click", () => {
       this.chosen = this.chosen === query.number ? null : query.number;

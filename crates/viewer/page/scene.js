@@ -4,13 +4,27 @@ import { OrbitControls } from "./vendor/OrbitControls.js";
 import { styleColor } from "./colors.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
-// The part of the page, pixels, that the legend, the lists and the time slider leave; all of it where that is little.
+const PANELS = ["about", "tools", "side", "legend", "replay"];
+
+// The largest rectangle of the page, pixels, that no panel covers. Its edges are those of panels or of the page.
 function freeArea(width, height) {
-  const visible = (id) => document.getElementById(id).getBoundingClientRect();
-  const [legend, side, replay] = [visible("legend"), visible("side"), visible("replay")];
-  let [left, right] = [legend.right, side.width ? side.left : width];
-  if (right - left < 0.4 * width) [left, right] = [0, width];
-  return { left, right, top: 0, bottom: replay.height ? replay.top : height };
+  const panels = PANELS.map((id) => document.getElementById(id).getBoundingClientRect()).filter((panel) => panel.width > 0);
+  const edges = (all, end) => [...new Set([0, end, ...all])].filter((edge) => edge >= 0 && edge <= end).sort((a, b) => a - b);
+  const across = edges(panels.flatMap(({ left, right }) => [left, right]), width);
+  const down = edges(panels.flatMap(({ top, bottom }) => [top, bottom]), height);
+  let free = { left: 0, right: width, top: 0, bottom: height };
+  let largest = 0;
+  for (const left of across) {
+    for (const right of across.filter((edge) => edge > left)) {
+      const within = panels.filter((panel) => panel.left < right && panel.right > left);
+      for (const top of down) {
+        const bottom = Math.min(height, ...within.filter((panel) => panel.bottom > top).map((panel) => Math.max(panel.top, top)));
+        const area = (right - left) * (bottom - top);
+        if (area > largest) [largest, free] = [area, { left, right, top, bottom }];
+      }
+    }
+  }
+  return free;
 }
 
 // The horizontal direction in which points spread the most.
@@ -45,10 +59,13 @@ export class Scene {
     this.scene.add(sun);
     this.box = new THREE.Box3();
     this.points = [];
+    this.up = new THREE.Vector3(0, 0, 1);
     this.along = new THREE.Vector3(1, 0, 0);
     this.grid = null;
     this.resize();
     window.addEventListener("resize", () => this.resize());
+    // Lists grow, and differ in how much of the map they cover.
+    new ResizeObserver(() => this.centre()).observe(document.getElementById("side"));
     this.applyTheme();
   }
 
@@ -56,7 +73,12 @@ export class Scene {
     const [width, height] = [window.innerWidth, window.innerHeight];
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
-    // What panels leave is the middle of the picture.
+    this.centre();
+  }
+
+  // Makes the middle of what panels leave the middle of the picture.
+  centre() {
+    const [width, height] = [window.innerWidth, window.innerHeight];
     this.free = freeArea(width, height);
     const { left, right, top, bottom } = this.free;
     this.camera.setViewOffset(width, height, (width - left - right) / 2, (height - top - bottom) / 2, width, height);
@@ -69,6 +91,7 @@ export class Scene {
 
   // `up`: upwards in G.
   setUp(up) {
+    this.up = new THREE.Vector3(...up).normalize();
     this.world.quaternion.setFromUnitVectors(new THREE.Vector3(...up).normalize(), UP);
     this.world.updateMatrixWorld(true);
   }

@@ -28,6 +28,8 @@ pub(crate) enum ShownState {
     OdometryOnly,
     Lost,
     Starting,
+    /// Nothing came for a while.
+    Silent,
     /// Its session ended.
     Gone,
     /// It published no status.
@@ -35,9 +37,9 @@ pub(crate) enum ShownState {
 }
 
 impl ShownState {
-    pub(crate) fn of(is_online: bool, state: Option<RobotState>) -> Self {
+    /// The state of a robot that is there.
+    pub(crate) fn of(state: Option<RobotState>) -> Self {
         match state {
-            _ if !is_online => Self::Gone,
             Some(RobotState::Localized) => Self::Localized,
             Some(RobotState::OdometryOnly) => Self::OdometryOnly,
             Some(RobotState::Lost) => Self::Lost,

@@ -47,6 +47,11 @@ impl Viewer {
         Arc::new(viewer)
     }
 
+    /// Stored maps: no robots come.
+    pub fn of_stored_maps() -> Arc<Self> {
+        Arc::new(Self::empty(false))
+    }
+
     fn empty(is_live: bool) -> Self {
         Self {
             maps: RwLock::default(),

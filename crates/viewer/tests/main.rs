@@ -5,6 +5,7 @@ mod api;
 #[path = "common/browser.rs"]
 mod browser;
 mod common;
+mod fleet;
 mod image_upload;
 mod kept;
 mod live;

@@ -11,12 +11,12 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use viewer::{CandidateVerdict, RunTracks, ServerSample, TrackPoint};
 
-fn picture(name: &str) -> PathBuf {
+pub fn picture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/viewer").join(name)
 }
 
 /// A browser; without one, says that the test is skipped, also where the output of tests is not shown.
-fn browser_or_reason() -> Option<PathBuf> {
+pub fn browser_or_reason() -> Option<PathBuf> {
     let program = installed();
     if program.is_none() {
         let _ = writeln!(std::io::stderr(), "skipped: no Chromium is installed (apt-get install chromium)");
@@ -25,7 +25,7 @@ fn browser_or_reason() -> Option<PathBuf> {
 }
 
 /// Nothing in the console, and nothing asked of another host.
-fn check_well_behaved(browser: &Browser, address: std::net::SocketAddr) {
+pub fn check_well_behaved(browser: &Browser, address: std::net::SocketAddr) {
     assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
     let own =
         [format!("http://{address}/"), format!("ws://{address}/"), "data:".to_owned(), "about:".to_owned()];
@@ -66,6 +66,7 @@ async fn the_page_shows_the_map_and_follows_robots() {
     for step in 0..60 {
         let position = shown.publish_robot("r7", 10.0 + 0.25 * f64::from(step), RobotState::Localized).await;
         shown.publish_robot("r2", 40.0 - 0.1 * f64::from(step), RobotState::OdometryOnly).await;
+        shown.publish_robot("r9", 8.0, RobotState::Lost).await;
         if step % 20 == 19 {
             let [x, y, z] = position.into();
             let distance = format!(

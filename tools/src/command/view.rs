@@ -53,18 +53,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let database = args.map.as_ref();
     let contents = database.map(|map| read_map(map)).transpose()?.map(|named| named.contents);
     let gravity = contents.as_ref().and_then(|contents| contents.info.gravity_in_global);
+    let mut missing = Vec::new();
     let viewer = if let Some(folder) = &args.run {
         let run =
             RunFiles::read(folder, args.groundtruth.as_deref(), None).context("the run cannot be shown")?;
         if let Some(contents) = &contents {
             check_map(&run, folder, database, contents)?;
         }
-        for sentence in &run.missing {
-            eprintln!("{sentence}");
-        }
+        missing.clone_from(&run.missing);
         Viewer::with_run(Some(run_tracks(&run, gravity.map_or(Vector3::z(), |gravity| -gravity))))
     } else {
-        Viewer::new()
+        Viewer::of_stored_maps()
     };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     if let Some((path, contents)) = database.zip(contents) {
@@ -84,6 +83,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             announce(&url);
         } else {
             println!("{url}");
+        }
+        for sentence in &missing {
+            eprintln!("{sentence}");
         }
         tokio::signal::ctrl_c().await?;
         server.stop().await;

@@ -32,6 +32,8 @@ const MAX_ROBOTS: usize = 1000;
 const QUEUE: usize = 16;
 /// Time between two messages to viewers.
 const TICK: Duration = Duration::from_millis(50);
+/// Without a change, viewers get an empty message after this long: silence means that the connection is dead.
+const HEARTBEAT: Duration = Duration::from_millis(500);
 /// Time between two looks at the robots for the history.
 const SAMPLING: Duration = Duration::from_secs(1);
 
@@ -195,13 +197,13 @@ impl Live {
         written(&self.update(&state, true, robots, true))
     }
 
-    /// What changed since it was last called; `None` for nothing.
-    fn changes(&self) -> Option<Utf8Bytes> {
+    /// What changed since it was last called; `None` for nothing, unless a heartbeat is due.
+    fn changes(&self, is_due: bool) -> Option<Utf8Bytes> {
         let mut state = self.lock();
         let changed = std::mem::take(&mut state.changed);
         let maps_changed = std::mem::take(&mut state.maps_changed);
         let run_changed = std::mem::take(&mut state.run_changed);
-        if changed.is_empty() && !maps_changed && !run_changed {
+        if changed.is_empty() && !maps_changed && !run_changed && !is_due {
             return None;
         }
         for name in &changed {
@@ -249,7 +251,7 @@ impl Viewer {
     pub(crate) async fn tick_live(self: Arc<Self>) {
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        let mut sampled = Instant::now();
+        let (mut sampled, mut told) = (Instant::now(), Instant::now());
         loop {
             ticks.tick().await;
             if sampled.elapsed() >= SAMPLING {
@@ -258,8 +260,9 @@ impl Viewer {
                 self.live.sample();
             }
             if self.live.updates.receiver_count() > 0
-                && let Some(update) = self.live.changes()
+                && let Some(update) = self.live.changes(told.elapsed() >= HEARTBEAT)
             {
+                told = Instant::now();
                 // Nobody left meanwhile: nobody misses it.
                 let _ = self.live.updates.send(update);
             }

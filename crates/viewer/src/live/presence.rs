@@ -36,6 +36,16 @@ impl Presence {
         }
     }
 
+    /// Whether its liveliness token went: its session ended.
+    pub(super) fn has_ended(&self) -> bool {
+        self.gone.is_some()
+    }
+
+    /// Seconds since the last sign of life.
+    pub(super) fn heard_age_s(&self, now: Instant) -> f64 {
+        now.duration_since(self.heard).as_secs_f64()
+    }
+
     /// Whether it is there.
     pub(super) fn is_online(&self, now: Instant) -> bool {
         self.gone.is_none() && now.duration_since(self.heard) <= SILENCE
@@ -60,9 +70,10 @@ mod tests {
         assert!(robot.is_online(at(30.0)));
         robot.note_token(false, at(31.0));
         robot.note_message(at(31.2));
-        assert!(!robot.is_online(at(31.2)), "a late message");
+        assert!(!robot.is_online(at(31.2)) && robot.has_ended(), "a late message");
+        assert!((robot.heard_age_s(at(31.2)) - 1.2).abs() < 1e-9);
         robot.note_message(at(37.0));
-        assert!(robot.is_online(at(37.0)), "it goes on publishing");
+        assert!(robot.is_online(at(37.0)) && !robot.has_ended(), "it goes on publishing");
         robot.note_token(false, at(38.0));
         robot.note_token(true, at(38.5));
         assert!(robot.is_online(at(38.5)), "it was started again");

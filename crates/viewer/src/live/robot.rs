@@ -111,6 +111,10 @@ impl<T> Dated<T> {
 pub(super) struct ViewedRobot {
     robot: String,
     is_online: bool,
+    /// Its liveliness token went.
+    has_ended: bool,
+    /// Time since the last sign of life.
+    heard_age_s: f64,
     pose: Option<Dated<ViewedGlobal>>,
     odometry: Option<Dated<ViewedOdometry>>,
     status: Option<Dated<ViewedStatus>>,
@@ -138,6 +142,8 @@ impl ViewedRobot {
         Self {
             robot: name.to_owned(),
             is_online: true,
+            has_ended: false,
+            heard_age_s: 0.0,
             pose: None,
             odometry: None,
             status: None,
@@ -229,7 +235,11 @@ impl ViewedRobot {
         map_number: impl Fn(&str) -> Option<u16>,
         history: &mut History,
     ) {
-        let state = ShownState::of(self.is_online, self.status.as_ref().map(|status| status.value.state));
+        let state = match self.status.as_ref().map(|status| status.value.state) {
+            _ if self.presence.has_ended() => ShownState::Gone,
+            _ if !self.is_online => ShownState::Silent,
+            state => ShownState::of(state),
+        };
         if self.unsampled.noted != Some(state) {
             self.unsampled.noted = Some(state);
             let reason = self.status.as_ref().map_or("", |status| status.value.reason.as_str());
@@ -248,6 +258,8 @@ impl ViewedRobot {
 
     /// States how old everything is at this moment.
     pub(super) fn set_ages(&mut self) {
+        self.has_ended = self.presence.has_ended();
+        self.heard_age_s = self.presence.heard_age_s(Instant::now());
         self.pose.iter_mut().for_each(Dated::set_age);
         self.odometry.iter_mut().for_each(Dated::set_age);
         self.status.iter_mut().for_each(Dated::set_age);

@@ -83,8 +83,7 @@ impl Browser {
         for domain in ["Network", "Runtime", "Log", "Page"] {
             browser.command(&format!("{domain}.enable"), json!({})).await;
         }
-        let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
-        browser.command("Emulation.setDeviceMetricsOverride", size).await;
+        browser.resize(width, height).await;
         browser
     }
 
@@ -121,12 +120,34 @@ impl Browser {
         self.command("Emulation.setEmulatedMedia", media).await;
     }
 
-    pub async fn save_picture(&mut self, path: &Path) {
+    /// Takes another size, CSS pixels.
+    pub async fn resize(&mut self, width: u32, height: u32) {
+        let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        self.command("Emulation.setDeviceMetricsOverride", size).await;
+    }
+
+    /// What assistive technology is told: roles and names.
+    pub async fn accessible(&mut self) -> Vec<(String, String)> {
+        let tree = self.command("Accessibility.getFullAXTree", json!({})).await;
+        let text = |value: &Value| value["value"].as_str().unwrap_or_default().to_owned();
+        let nodes = tree["nodes"].as_array().unwrap().iter().filter(|node| node["ignored"] == false);
+        nodes.map(|node| (text(&node["role"]), text(&node["name"]))).collect()
+    }
+
+    /// Bytes that the page's scripts hold: in objects, and in arrays beside them.
+    pub async fn heap(&mut self) -> (f64, f64) {
+        self.command("HeapProfiler.collectGarbage", json!({})).await;
+        let usage = self.command("Runtime.getHeapUsage", json!({})).await;
+        (usage["usedSize"].as_f64().unwrap(), usage["backingStorageSize"].as_f64().unwrap_or(0.0))
+    }
+
+    pub async fn save_picture(&mut self, path: &Path) -> Vec<u8> {
         let picture = self.command("Page.captureScreenshot", json!({"format": "png"})).await;
         let data = picture["data"].as_str().unwrap();
         let bytes = base64::engine::general_purpose::STANDARD.decode(data).unwrap();
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, bytes).unwrap();
+        std::fs::write(path, &bytes).unwrap();
+        bytes
     }
 
     async fn command(&mut self, method: &str, parameters: Value) -> Value {

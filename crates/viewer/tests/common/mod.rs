@@ -91,6 +91,13 @@ impl Shown {
             velocity_in_local: [3.0, 0.0, 4.0],
             angular_velocity_in_imu: [0.0; 3],
         };
+        self.publish(keys::robot_pose(robot).unwrap(), &pose).await;
+        self.publish(keys::robot_odometry(robot).unwrap(), &odometry).await;
+        self.publish_status(robot, stamp_ns, state).await;
+        global_from_imu.translation
+    }
+
+    pub async fn publish_status(&self, robot: &str, stamp_ns: i64, state: RobotState) {
         let status = RobotStatus {
             stamp_ns,
             state,
@@ -101,10 +108,7 @@ impl Shown {
             queries_sent: 31,
             queries_answered: 30,
         };
-        self.publish(keys::robot_pose(robot).unwrap(), &pose).await;
-        self.publish(keys::robot_odometry(robot).unwrap(), &odometry).await;
         self.publish(keys::robot_status(robot).unwrap(), &status).await;
-        global_from_imu.translation
     }
 
     /// The body's axes x forward, y left, z up.
