@@ -92,7 +92,7 @@ fn pixels_of(picture: &[u8], color: [u8; 3]) -> usize {
 }
 
 /// Panels lie within the page and on no other, and *Fit* takes what they leave, which is enough.
-async fn check_layout(browser: &mut Browser, screen: &str) {
+pub async fn check_layout(browser: &mut Browser, screen: &str) {
     let script = "(() => { document.querySelector('[data-action=fit]').click(); \
         const ids = ['about', 'tools', 'side', 'legend', 'replay']; \
         const boxes = ids.map((id) => [id, document.getElementById(id).getBoundingClientRect()]).filter(([, b]) => b.width > 0); \
@@ -111,6 +111,22 @@ async fn check_layout(browser: &mut Browser, screen: &str) {
         return faults.join(', '); })()";
     let faults = browser.evaluate(script).await;
     assert_eq!(faults, "", "{screen}");
+}
+
+/// Words are told from what is behind them: 4.5 to 1, as WCAG 2 asks for.
+async fn check_contrast(browser: &mut Browser) {
+    let script = "(() => { \
+        const context = document.createElement('canvas').getContext('2d', { willReadFrequently: true }); \
+        const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name); \
+        const luminance = (...names) => { \
+          for (const name of names) { context.fillStyle = style(name); context.fillRect(0, 0, 1, 1); } \
+          const [r, g, b] = [...context.getImageData(0, 0, 1, 1).data].map((v) => (v <= 10 ? v / 3294.6 : ((v / 255 + 0.055) / 1.055) ** 2.4)); \
+          return 0.2126 * r + 0.7152 * g + 0.0722 * b; }; \
+        const card = luminance('--background', '--card'); \
+        return ['--text', '--faint', '--localized', '--odometry-only', '--lost', '--accent'].filter((name) => { \
+          const word = luminance(name); \
+          return (Math.max(word, card) + 0.05) / (Math.min(word, card) + 0.05) < 4.5; }).join(); })()";
+    assert_eq!(browser.evaluate(script).await, "");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -219,6 +235,11 @@ async fn a_stored_map_has_no_present_and_names_decide_colours_and_keys() {
     assert!(has("button", "Fit") && !has("button", "Live") && !has("tab", "Robots"), "{told:?}");
     check_layout(&mut browser, "a stored map").await;
     browser.save_picture(&picture("stored.png")).await;
+
+    for _ in ["light", "dark"] {
+        check_contrast(&mut browser).await;
+        browser.press("d").await;
+    }
 
     // In whatever order they come.
     let keys = "import('./names.js').then(({ keysOf }) => [['r7', 'amr-12', 'x', 'b-7'], ['b-7', 'x', 'r7', 'amr-12']].map( \

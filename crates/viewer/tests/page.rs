@@ -3,6 +3,7 @@
 
 use crate::browser::{Browser, installed};
 use crate::common::{Shown, answered, candidate};
+use crate::fleet::check_layout;
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -297,5 +298,10 @@ async fn the_page_shows_a_run_at_any_time_of_it() {
     browser.save_picture(&picture("run.png")).await;
     browser.press(" ").await;
     browser.wait_for("Number(document.getElementById('time').value) > 201").await;
+    for (width, height) in [(820, 1180), (390, 844)] {
+        browser.resize(width, height).await;
+        check_layout(&mut browser, &format!("{width}x{height}")).await;
+        browser.save_picture(&picture(&format!("run_{width}.png"))).await;
+    }
     assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
 }
