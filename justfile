@@ -57,6 +57,7 @@ python:
         echo "SKIPPED: the packages of python/ cannot be installed; its tests were not run"
         exit 0
     fi
+    "$venv/bin/mypy" --config-file python/pyproject.toml python/driftless
     cargo test --quiet --profile {{ profile }} --locked --workspace --no-run
     DRIFTLESS_PROGRAMS="{{ justfile_directory() }}/target/{{ if profile == "dev" { "debug" } else { profile } }}" \
         "$venv/bin/python" -m pytest -q python/tests
@@ -74,8 +75,14 @@ test:
         RUST_TEST_THREADS="$threads" cargo test --workspace --locked
     fi
 
+# Types of the Python client by pyright, which fetches Node.js
+pyright:
+    python3 -m venv target/python
+    target/python/bin/pip install --quiet './python[test]' pyright
+    target/python/bin/pyright --project python --pythonpath target/python/bin/python
+
 # Every test there is, those that take minutes too, except measurements and those that need something that is not here
-nightly: ci clippy-slim
+nightly: ci clippy-slim pyright
     cargo test --release --workspace --locked -- --ignored --skip load:: --skip latency --skip python --skip published --skip images::learned --skip object_store
 
 # Every crate that is published could be

@@ -52,7 +52,8 @@ class Fleet:
 
     def close(self) -> None:
         """Closes the session."""
-        self._session.close()
+        session: Any = self._session  # whose stub leaves out what it returns
+        session.close()
 
     def __enter__(self) -> Fleet:
         return self

@@ -58,7 +58,12 @@ class MapInfo:
     def from_message(cls, message: Mapping[str, Any]) -> MapInfo:
         extent, gravity = message.get("extent"), message.get("gravity_in_global")
         return cls(
-            *(message[field] for field in ("name", "version", "identity", "keyframes", "landmarks", "observations")),
+            name=message["name"],
+            version=message["version"],
+            identity=message["identity"],
+            keyframes=message["keyframes"],
+            landmarks=message["landmarks"],
+            observations=message["observations"],
             extractor=message["extractor"],
             extent=None if extent is None else (numbers(extent["min"], (3,)), numbers(extent["max"], (3,))),
             gravity_in_global=None if gravity is None else numbers(gravity, (3,)),
@@ -144,8 +149,11 @@ class Localization:
             return cls(*head, global_from_camera=None, places=places)
         return cls(
             *head,
-            Pose.from_message(fix["global_from_camera"]),
-            *(fix[field] for field in ("keyframe", "matched_features", "inliers", "mean_error_px")),
+            global_from_camera=Pose.from_message(fix["global_from_camera"]),
+            keyframe=fix["keyframe"],
+            matched_features=fix["matched_features"],
+            inliers=fix["inliers"],
+            mean_error_px=fix["mean_error_px"],
             places=places,
         )
 
@@ -165,9 +173,12 @@ class RobotPose:
     @classmethod
     def from_message(cls, message: Mapping[str, Any]) -> RobotPose:
         return cls(
-            *(message[field] for field in ("stamp_ns", "map", "map_version", "map_identity")),
-            Pose.from_message(message["global_from_imu"]),
-            Pose.from_message(message["global_from_local"]),
+            stamp_ns=message["stamp_ns"],
+            map=message["map"],
+            map_version=message["map_version"],
+            map_identity=message["map_identity"],
+            global_from_imu=Pose.from_message(message["global_from_imu"]),
+            global_from_local=Pose.from_message(message["global_from_local"]),
         )
 
 
@@ -211,10 +222,12 @@ class RobotStatus:
     @classmethod
     def from_message(cls, message: Mapping[str, Any]) -> RobotStatus:
         return cls(
-            message["stamp_ns"],
-            message["state"],
-            message["reason"],
-            message.get("map"),
-            message.get("last_map_update_ns"),
-            *(message[field] for field in ("keyframes_held", "queries_sent", "queries_answered")),
+            stamp_ns=message["stamp_ns"],
+            state=message["state"],
+            reason=message["reason"],
+            map=message.get("map"),
+            last_map_update_ns=message.get("last_map_update_ns"),
+            keyframes_held=message["keyframes_held"],
+            queries_sent=message["queries_sent"],
+            queries_answered=message["queries_answered"],
         )

@@ -1,4 +1,6 @@
 """Plots with matplotlib (`pip install driftless[plot]`)."""
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave out the types of keyword arguments.
 
 from __future__ import annotations
 
@@ -55,7 +57,8 @@ def ellipse(centre: Array, covariance: Array, sigmas: float = 3.0, points: int =
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, points)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    return centre + sigmas * (vectors * np.sqrt(np.maximum(values, 0)) @ circle).T
+    outline: Array = centre + sigmas * (vectors * np.sqrt(np.maximum(values, 0)) @ circle).T
+    return outline
 
 
 def _from_above(ax: Axes) -> Axes:

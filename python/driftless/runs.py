@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Mapping
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -61,13 +62,15 @@ class Run:
         if sequence is None:
             return None
         for start in (Path(), self.folder.parent):
-            path = start / sequence / "mav0" / "state_groundtruth_estimate0" / "data.csv"
-            if path.is_file():
-                return self._in_map(read_euroc(path))
+            for name in ("state_groundtruth_estimate0", "mocap0"):
+                path = start / sequence / "mav0" / name / "data.csv"
+                if path.is_file():
+                    return self._in_map(read_euroc(path))
         return None
 
     def _in_map(self, truth: Track) -> Track:
-        aligned = (self.summary.get("score") or {}).get("map_from_truth")
+        score: Mapping[str, Any] = self.summary.get("score") or {}
+        aligned: Mapping[str, Any] | None = score.get("map_from_truth")
         if aligned is None:
             return truth
         return truth.moved(aligned["rotation_wxyz"], aligned["position_m"])

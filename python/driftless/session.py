@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -31,7 +32,7 @@ def open_session(
     """Opens a session; `NoAnswer` where nothing listens."""
     if secure is not None and zenoh_config is not None:
         raise DriftlessError("secure and zenoh_config: give one of them")
-    config = _configuration(secure, zenoh_config)
+    config: Any = _configuration(secure, zenoh_config)  # whose stub leaves out what it returns
     if connect is None and secure is None and zenoh_config is None:
         connect = DEFAULT_ENDPOINT
     if connect is not None:
@@ -48,14 +49,14 @@ def open_session(
         raise NoAnswer(f"no Zenoh session by {place}: {error}; is the map server or router running?") from error
 
 
-def _configuration(secure: str | PathLike[str] | None, file: str | PathLike[str] | None) -> zenoh.Config:
+def _configuration(secure: str | PathLike[str] | None, file: str | PathLike[str] | None) -> Any:
     path = Path(secure) / "zenoh.json5" if secure is not None else Path(file) if file is not None else None
     if path is None:
         return zenoh.Config()
     if not path.is_file():
         raise DriftlessError(f"there is no {path}" + ("; `driftless fleet init` writes it" if secure else ""))
     try:
-        config = zenoh.Config.from_file(str(path))
+        config: Any = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
         raise DriftlessError(f"{path} is no configuration of Zenoh: {error}") from error
     if secure is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -41,14 +41,15 @@ class Track:
     @property
     def seconds(self) -> Array:
         """Time since the first pose, s, shape (n,)."""
-        return (self.stamps_ns - self.stamps_ns[:1]) * 1e-9
+        return (self.stamps_ns - self.stamps_ns[:1]).astype(np.float64) * 1e-9
 
     @property
     def sigma_positions(self) -> Array:
         """Standard deviations of the positions, m, shape (n, 3)."""
         if self.covariances is None:
             raise Unreadable("these poses have no covariances")
-        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)[:, 3:])
+        sigmas: Array = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)[:, 3:])
+        return sigmas
 
     def at(self, stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Track]:
         """Interpolates at other times.
@@ -121,7 +122,9 @@ class Errors:
         if self.covariances is None:
             raise Unreadable("these poses have no covariances")
         errors = np.hstack([self.rotations, self.positions])
-        return np.einsum("ni,ni->n", errors, np.linalg.solve(self.covariances, errors[..., None])[..., 0]) / 6
+        whitened = np.linalg.solve(self.covariances, errors[..., None])[..., 0]
+        nees: Array = np.einsum("ni,ni->n", errors, whitened) / 6
+        return nees
 
 
 def read_states(path: str | PathLike[str]) -> dict[str, Track]:
@@ -162,8 +165,16 @@ def _nanoseconds(seconds: str) -> int:
     return int(whole) * 10**9 + int(fraction[:9].ljust(9, "0"))
 
 
-def _track(path, rows, stamp, *, rotation, translation) -> Track:
-    stamps, values = [], []
+def _track(
+    path: str | PathLike[str],
+    rows: Iterable[list[str]],
+    stamp: Callable[[str], int],
+    *,
+    rotation: slice | list[int],
+    translation: slice,
+) -> Track:
+    stamps: list[int] = []
+    values: list[list[float]] = []
     for number, row in enumerate(rows):
         try:
             stamps.append(stamp(row[0]))
@@ -212,7 +223,8 @@ def _slerp(first: Array, second: Array, fraction: Array) -> Array:
     first_weight = np.where(near, 1 - fraction, np.sin((1 - fraction) * angle) / sine)
     second_weight = np.where(near, fraction, np.sin(fraction * angle) / sine)
     between = first_weight * first + second_weight * second
-    return between / np.linalg.norm(between, axis=1, keepdims=True)
+    unit: Array = between / np.linalg.norm(between, axis=1, keepdims=True)
+    return unit
 
 
 def _logarithm(rotations: Array) -> Array:
