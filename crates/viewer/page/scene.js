@@ -177,8 +177,12 @@ export class Scene {
     return (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / window.innerHeight;
   }
 
+  // Moves the camera on; whether it moved.
+  advance() {
+    return this.controls.update();
+  }
+
   render() {
-    this.controls.update();
     this.renderer.render(this.scene, this.camera);
   }
 }
