@@ -7,6 +7,8 @@ mod browser;
 mod common;
 mod fleet;
 mod image_upload;
+#[path = "common/inspection.rs"]
+mod inspection;
 mod kept;
 mod live;
 mod page;

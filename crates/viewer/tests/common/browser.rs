@@ -126,21 +126,6 @@ impl Browser {
         self.command("Emulation.setDeviceMetricsOverride", size).await;
     }
 
-    /// What assistive technology is told: roles and names.
-    pub async fn accessible(&mut self) -> Vec<(String, String)> {
-        let tree = self.command("Accessibility.getFullAXTree", json!({})).await;
-        let text = |value: &Value| value["value"].as_str().unwrap_or_default().to_owned();
-        let nodes = tree["nodes"].as_array().unwrap().iter().filter(|node| node["ignored"] == false);
-        nodes.map(|node| (text(&node["role"]), text(&node["name"]))).collect()
-    }
-
-    /// Bytes that the page's scripts hold: in objects, and in arrays beside them.
-    pub async fn heap(&mut self) -> (f64, f64) {
-        self.command("HeapProfiler.collectGarbage", json!({})).await;
-        let usage = self.command("Runtime.getHeapUsage", json!({})).await;
-        (usage["usedSize"].as_f64().unwrap(), usage["backingStorageSize"].as_f64().unwrap_or(0.0))
-    }
-
     pub async fn save_picture(&mut self, path: &Path) -> Vec<u8> {
         let picture = self.command("Page.captureScreenshot", json!({"format": "png"})).await;
         let data = picture["data"].as_str().unwrap();
@@ -150,7 +135,8 @@ impl Browser {
         bytes
     }
 
-    async fn command(&mut self, method: &str, parameters: Value) -> Value {
+    /// Sends a command of the protocol, and returns its result.
+    pub async fn command(&mut self, method: &str, parameters: Value) -> Value {
         self.commands += 1;
         let id = self.commands;
         let mut command = json!({"id": id, "method": method, "params": parameters});
