@@ -3,17 +3,21 @@
 use crate::map_place::{is_released, read_map};
 use crate::plotting::RunFiles;
 use crate::run_tracks::run_tracks;
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use axum::Router;
 use client::session::{SessionOptions, close_session, open_session};
 use map_server::{MapServer, ServedMap, ServerOptions, Show};
 use nalgebra::Vector3;
-use onboard::MapLink;
+use onboard::{MapLink, Outcome, RobotArguments, RobotLink, StopSignal, run_robot_until};
 use recognition::{LoadError, LoadedMap};
+use sensors::Recording;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::Path;
 use std::sync::Arc;
 use tokio::runtime::Runtime;
+
+/// Name of the one map of a run, on the network of this process.
+pub const MAP: &str = "map";
 
 /// Loads a map into memory, ready to be served.
 ///
@@ -41,6 +45,32 @@ pub fn load_map(map: &Path) -> Result<Arc<LoadedMap>> {
 /// Direction of gravity in a map that defines its own frame.
 pub fn gravity_in_own_frame(map: &LoadedMap) -> Option<Vector3<f64>> {
     map.info().gravity_in_global.filter(|_| map.info().own_frame)
+}
+
+/// Runs a robot through a recording, in a map that is served in this process as long.
+///
+/// # Errors
+/// A recording that cannot be read, a folder that cannot be written, features of another extractor than the map's, a run that ended
+/// early.
+pub fn run_in_map(
+    recording: Recording<'_>,
+    robot: &RobotArguments,
+    map: &Arc<LoadedMap>,
+    stop: &StopSignal,
+    show: impl Fn(usize),
+) -> Result<Outcome> {
+    let mut robot = robot.clone();
+    robot.gravity_in_own_frame = gravity_in_own_frame(map);
+    let server = LocalServer::start(vec![(MAP.to_owned(), Arc::clone(map))])?;
+    let link = server.link(MAP)?;
+    let outcome = run_robot_until(stop, recording, &robot, Some(RobotLink::Open(link.clone())), show);
+    server.unlink(&link);
+    server.stop()?;
+    let outcome = outcome?;
+    if let Some(reason) = &outcome.summary.ended_early {
+        bail!("ended early: {reason}");
+    }
+    Ok(outcome)
 }
 
 /// A running server with its own runtime and session.

@@ -11,19 +11,17 @@ mod result;
 pub use dataset::recordings;
 pub use result::{BenchmarkReport, LocalizedRecording, MapFigures, Measured};
 
-use crate::in_process::{LocalServer, gravity_in_own_frame};
-use anyhow::{Context as _, Result, bail};
+use crate::in_process::run_in_map;
+use anyhow::{Context as _, Result};
 use evaluation::{Alignment, align};
 use map::contents::MapContents;
 use mapping::map_in_frame;
-use onboard::{RobotArguments, StopSignal, run_robot_until};
+use onboard::{RobotArguments, StopSignal};
 use recognition::LoadedMap;
 use sensors::{CalibrationFiles, Recording, TruthTrack};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Name of the map on the network of this process.
-const MAP: &str = "map";
 /// Longest gap of the truth around a keyframe, nanoseconds.
 const MAX_GAP_NS: i64 = 100_000_000;
 
@@ -71,18 +69,7 @@ pub fn localize(
 ) -> Result<Measured> {
     let mut robot = robot.clone();
     robot.features = robot.features.or_of_map(&map.info().extractor);
-    robot.gravity_in_own_frame = gravity_in_own_frame(map);
-    let recording = Recording::open_with(recording, files)?;
-    let server = LocalServer::start(vec![(MAP.to_owned(), Arc::clone(map))])?;
-    let link = server.link(MAP)?;
-    let outcome =
-        run_robot_until(stop, recording, &robot, Some(onboard::RobotLink::Open(link.clone())), show);
-    server.unlink(&link);
-    server.stop()?;
-    let outcome = outcome?;
-    if let Some(reason) = &outcome.summary.ended_early {
-        bail!("ended early: {reason}");
-    }
+    let outcome = run_in_map(Recording::open_with(recording, files)?, &robot, map, stop, show)?;
     let states = outcome.states().context("the states of the run")?;
     Ok(Measured::of(&outcome.summary, &states))
 }

@@ -1,6 +1,6 @@
 //! `driftless run`: server and robot in one process.
 
-use crate::in_process::{LocalServer, gravity_in_own_frame, load_map};
+use crate::in_process::{LocalServer, MAP, gravity_in_own_frame, load_map};
 use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
@@ -8,9 +8,6 @@ use onboard::arguments::{CalibrationArguments, ImuInBaseLink};
 use onboard::{MapLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
-
-/// Name of the map on the network of this process.
-const MAP: &str = "map";
 
 /// Arguments of `driftless run`.
 #[derive(clap::Args, Debug)]

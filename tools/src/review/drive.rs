@@ -1,21 +1,18 @@
 //! A drive in one map: as a robot, and image by image from cold.
 
-use crate::in_process::{LocalServer, gravity_in_own_frame};
+use crate::in_process::run_in_map;
 use crate::plotting::RunFiles;
 use crate::query_image::RecordedQueries;
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 use evaluation::trajectory::StateRow;
 use geometry::PoseWithCovariance;
 use onboard::arguments::CalibrationArguments;
-use onboard::{Event, RobotArguments, run_robot};
+use onboard::{Event, RobotArguments, StopSignal};
 use protocol::MatchOutcome;
 use recognition::{LoadedMap, RecognitionOptions};
 use sensors::{CalibrationFiles, Recording, TruthRow};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Name of the map on the network of this process.
-const MAP: &str = "map";
 
 /// A recording with which maps are reviewed.
 pub struct Drive {
@@ -86,17 +83,9 @@ impl Drive {
     pub fn run_in(&self, map: &Arc<LoadedMap>, out: &Path) -> Result<DriveRun> {
         let mut robot = self.robot.clone();
         out.clone_into(&mut robot.out);
-        robot.gravity_in_own_frame = gravity_in_own_frame(map);
         let recording = Recording::open_with(&self.recording, &self.files)?;
-        let server = LocalServer::start(vec![(MAP.to_owned(), Arc::clone(map))])?;
-        let link = server.link(MAP)?;
-        let outcome = run_robot(recording, &robot, Some(link.clone()), |_| {});
-        server.unlink(&link);
-        server.stop()?;
-        let outcome = outcome.with_context(|| self.name.clone())?;
-        if let Some(reason) = outcome.summary.ended_early {
-            bail!("{} ended early: {reason}", self.name);
-        }
+        run_in_map(recording, &robot, map, &StopSignal::default(), |_| {})
+            .with_context(|| self.name.clone())?;
         let run = RunFiles::read(out, None, None)?;
         let images = self.cold_images(map)?;
         let truth = run.truth.map(|truth| truth.rows);
