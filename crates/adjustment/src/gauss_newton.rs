@@ -5,6 +5,7 @@
 
 use crate::bundle::Bundle;
 use crate::problem::Problem;
+use crate::sparse_system::SparseCholesky;
 
 /// Maximum number of steps.
 const MAX_STEPS: usize = 20;
@@ -20,18 +21,24 @@ impl Problem<'_> {
     /// # Arguments
     /// * `scale`: of the robust loss (standard deviations); infinite for least squares.
     pub fn minimize_undamped(&self, start: Bundle, scale: f64) -> Bundle {
-        self.undamped_steps(start, scale, &PARTS)
+        self.undamped_steps(start, scale, &PARTS, &mut SparseCholesky::default())
     }
 
     /// Undamped steps until one hardly lowers the cost.
     ///
     /// # Arguments
     /// * `parts`: of each step that are tried, longest first.
-    pub(crate) fn undamped_steps(&self, start: Bundle, scale: f64, parts: &[f64]) -> Bundle {
+    pub(crate) fn undamped_steps(
+        &self,
+        start: Bundle,
+        scale: f64,
+        parts: &[f64],
+        cholesky: &mut SparseCholesky,
+    ) -> Bundle {
         let mut bundle = start;
         let mut cost = self.cost(&bundle, scale);
         for _ in 0..MAX_STEPS {
-            let Some(step) = self.equations(&bundle, scale, 0.0).solve(0.0) else { break };
+            let Some(step) = self.equations(&bundle, scale, 0.0).solve_with(cholesky, 0.0) else { break };
             let before = cost;
             for &part in parts {
                 let candidate = self.stepped(&bundle, &step, part, scale);

@@ -5,6 +5,7 @@
 
 use crate::bundle::Bundle;
 use crate::problem::Problem;
+use crate::sparse_system::SparseCholesky;
 
 /// Factor between the scales of two iterations (graduated non-convexity): wide first, so that inliers correct bad poses.
 const SCALE_FACTOR: f64 = 0.6;
@@ -31,10 +32,11 @@ impl Problem<'_> {
         let mut scale = first_scale;
         let [mut damping, least, most] = DAMPING;
         let mut accepted_scale = f64::INFINITY;
+        let mut cholesky = SparseCholesky::default();
         for step in 0..MAX_STEPS {
             progress(step, MAX_STEPS);
             let before = self.cost(&bundle, scale);
-            let candidate = self.step(&bundle, scale, damping);
+            let candidate = self.step(&bundle, scale, damping, &mut cholesky);
             let after = candidate.as_ref().map_or(f64::INFINITY, |candidate| self.cost(candidate, scale));
             if let Some(candidate) = candidate.filter(|_| after < before) {
                 bundle = candidate;
@@ -52,6 +54,6 @@ impl Problem<'_> {
         progress(MAX_STEPS, MAX_STEPS);
         // Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which are relative
         // to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
-        self.undamped_steps(bundle, last_scale, &[1.0])
+        self.undamped_steps(bundle, last_scale, &[1.0], &mut cholesky)
     }
 }

@@ -18,7 +18,7 @@ use crate::covariance::StateCovariance;
 use crate::landmark_equations::{EliminatedLandmarks, LandmarkEquations};
 use crate::layout::StateLayout;
 use crate::parallel;
-use crate::sparse_system::SparseSystem;
+use crate::sparse_system::{SparseCholesky, SparseSystem};
 
 /// Normal equations of the states and landmarks of a bundle.
 pub struct NormalEquations {
@@ -136,9 +136,14 @@ impl NormalEquations {
     /// # Returns
     /// `None` where S is not positive definite.
     pub fn solve(&self, damping: f64) -> Option<Step> {
+        self.solve_with(&mut SparseCholesky::default(), damping)
+    }
+
+    /// As [`NormalEquations::solve`], by the factorization of the step before.
+    pub(crate) fn solve_with(&self, cholesky: &mut SparseCholesky, damping: f64) -> Option<Step> {
         let mut system = self.system();
         self.damp(&mut system, damping);
-        let states = system.factor()?.solve(&(&self.gradient - &self.eliminated_gradient));
+        let states = cholesky.factor(system)?.solve(&(&self.gradient - &self.eliminated_gradient));
         let of_run = |run: usize| self.landmarks[run].errors(self.layout, &states);
         let landmarks = parallel::map(self.landmarks.len(), of_run, |_| ()).concat();
         Some(Step { states, landmarks })

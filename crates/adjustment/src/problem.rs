@@ -15,6 +15,7 @@ use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use crate::loss::Loss;
 use crate::normal_equations::{NormalEquations, Step};
 use crate::parallel;
+use crate::sparse_system::SparseCholesky;
 
 /// Landmarks whose equations are summed up by one thread: so few that their blocks stay in its cache.
 const RUN: usize = 512;
@@ -80,8 +81,14 @@ impl Problem<'_> {
     }
 
     /// One damped Gauss-Newton step; `None` where the equations are singular.
-    pub(crate) fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Option<Bundle> {
-        let step = self.equations(bundle, scale, damping).solve(damping)?;
+    pub(crate) fn step(
+        &self,
+        bundle: &Bundle,
+        scale: f64,
+        damping: f64,
+        cholesky: &mut SparseCholesky,
+    ) -> Option<Bundle> {
+        let step = self.equations(bundle, scale, damping).solve_with(cholesky, damping)?;
         Some(self.stepped(bundle, &step, 1.0, scale))
     }
 
