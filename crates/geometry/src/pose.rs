@@ -46,27 +46,32 @@ impl Default for Pose {
 
 impl Pose {
     /// The identity.
+    #[inline]
     pub fn identity() -> Self {
         Self { rotation: Rotation::identity(), translation: Vector3::zeros() }
     }
 
     /// A pose from rotation and translation (metres).
+    #[inline]
     pub fn new(rotation: Rotation, translation: Vector3<f64>) -> Self {
         Self { rotation, translation }
     }
 
     /// `child_from_parent` of `parent_from_child`.
+    #[inline]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
     /// `a_from_c` of `a_from_b` (self) and `b_from_c`. The same as `*`.
+    #[inline]
     pub fn compose(&self, other: &Self) -> Self {
         Self { rotation: self.rotation * other.rotation, translation: self.transform(&other.translation) }
     }
 
     /// The point in the parent frame (metres).
+    #[inline]
     pub fn transform(&self, p_child: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * p_child + self.translation
     }

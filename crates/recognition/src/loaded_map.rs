@@ -178,10 +178,13 @@ impl LoadedMap {
 
     /// Positions of all landmarks in G (m), by id.
     pub fn landmark_positions(&self) -> impl Iterator<Item = Vector3<f64>> {
-        let landmarks = self.landmarks.anchors.iter().zip(&self.landmarks.positions_in_anchor);
-        landmarks.map(|(&anchor, position)| {
-            self.keyframes[anchor as usize].global_from_keyframe.pose.transform(position)
-        })
+        (0..self.landmark_count()).map(|at| self.landmark_position(at))
+    }
+
+    /// Position of landmark `at` in G (m).
+    pub(crate) fn landmark_position(&self, at: usize) -> Vector3<f64> {
+        let anchor = self.landmarks.anchors[at] as usize;
+        self.keyframes[anchor].global_from_keyframe.pose.transform(&self.landmarks.positions_in_anchor[at])
     }
 
     /// Median distance between keyframes and the landmarks that they observe (m).
@@ -262,7 +265,7 @@ impl LoadedMap {
         if anchor == keyframe {
             return *position_in_anchor;
         }
-        let in_global = self.keyframes[anchor].global_from_keyframe.pose.transform(position_in_anchor);
+        let in_global = self.landmark_position(landmark);
         let Keyframe { global_from_keyframe, camera, .. } = &self.keyframes[keyframe];
         // Rounded to `f32`, 6e-8 of the distance.
         point_in_keyframe(camera, &global_from_keyframe.pose, &in_global, observed.pixels[at])

@@ -2,8 +2,6 @@
 
 use geometry::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
 use std::ops::RangeInclusive;
 
 use crate::elements::Viewpoint;
@@ -55,18 +53,21 @@ impl Similarity {
         })
     }
 
-    fn holds(&self, point_in_keyframe: &Vector3<f64>, camera_from_keyframe: &Pose) -> bool {
-        let (cosine, ratio) = compare(point_in_keyframe, camera_from_keyframe);
+    fn holds(&self, (cosine, ratio): (f64, f64)) -> bool {
         cosine >= self.least_cosine && self.distance_ratio.contains(&ratio)
     }
 }
 
 /// Cosine of the angle between the rays from camera and keyframe to a point, and the ratio of their lengths.
 fn compare(point_in_keyframe: &Vector3<f64>, camera_from_keyframe: &Pose) -> (f64, f64) {
-    let now = camera_from_keyframe.transform(point_in_keyframe);
-    let before = camera_from_keyframe.rotation * point_in_keyframe;
-    let (length, length_before) = (now.norm(), before.norm());
-    (now.dot(&before) / (length * length_before), length / length_before)
+    let from_camera = camera_from_keyframe.transform(point_in_keyframe);
+    compare_rays(&from_camera, &(camera_from_keyframe.rotation * point_in_keyframe))
+}
+
+/// Cosine of the angle between the rays from a camera and from a keyframe to a point, and the ratio of their lengths.
+fn compare_rays(from_camera: &Vector3<f64>, from_keyframe: &Vector3<f64>) -> (f64, f64) {
+    let (length, length_before) = (from_camera.norm(), from_keyframe.norm());
+    (from_camera.dot(from_keyframe) / (length * length_before), length / length_before)
 }
 
 /// A landmark that a camera should see.
@@ -88,27 +89,35 @@ pub(super) fn expected_landmarks(
     place: &[&VerifiedKeyframe],
 ) -> Vec<ExpectedLandmark> {
     // One of many keyframes that saw a landmark is enough: where it is in the others is not computed.
-    let mut expected: HashMap<usize, ExpectedLandmark> = HashMap::new();
+    let mut is_expected = vec![false; map.landmark_count()];
+    let mut expected = Vec::new();
     let mut add = |keyframe: usize, camera_from_keyframe: &Pose, similarity: &Similarity| {
         let observed = map.observations.of(keyframe);
+        let keyframe_position = map.viewpoints[keyframe].position;
         for at in 0..observed.landmarks.len() {
-            let Entry::Vacant(landmark) = expected.entry(observed.landmark(at)) else { continue };
-            let in_keyframe = map.observed_point(keyframe, at);
-            if !similarity.holds(&in_keyframe, camera_from_keyframe) {
+            let landmark = observed.landmark(at);
+            if is_expected[landmark] {
                 continue;
             }
-            let in_camera = camera_from_keyframe.transform(&in_keyframe);
+            // The map's position is good enough to tell whether the views are similar, and takes less time than the ray of the pixel.
+            let in_global = map.landmark_position(landmark);
+            let from_camera = in_global - global_from_camera.translation;
+            if !similarity.holds(compare_rays(&from_camera, &(in_global - keyframe_position))) {
+                continue;
+            }
+            let in_camera = camera_from_keyframe.transform(&map.observed_point(keyframe, at));
             if let Ok(pixel) = camera.project(&in_camera)
                 && camera.contains(&pixel)
             {
                 let in_global = global_from_camera.transform(&in_camera);
-                landmark.insert(ExpectedLandmark { pixel, in_global });
+                expected.push(ExpectedLandmark { pixel, in_global });
+                is_expected[landmark] = true;
             }
         }
     };
-    let camera_from = |keyframe: usize| {
-        global_from_camera.inverse().compose(&map.keyframes[keyframe].global_from_keyframe.pose)
-    };
+    let camera_from_global = global_from_camera.inverse();
+    let camera_from =
+        |keyframe: usize| camera_from_global.compose(&map.keyframes[keyframe].global_from_keyframe.pose);
     for keyframe in similar_views(map, global_from_camera) {
         add(keyframe, &camera_from(keyframe), &SIMILAR);
     }
@@ -118,7 +127,7 @@ pub(super) fn expected_landmarks(
             add(verified.keyframe, &camera_from_keyframe, &similarity);
         }
     }
-    expected.into_values().collect()
+    expected
 }
 
 /// The keyframes that see most like a camera, the most similar first.
