@@ -147,21 +147,24 @@ impl DenseFilter {
 
     /// `P ← [F 0; 0 I] P [F 0; 0 I]ᵀ + [Q 0; 0 0]`.
     fn transform(&mut self, transition: &DMatrix<f64>, noise: &DMatrix<f64>) {
-        let (old, n) = (self.active, POSE * self.keyframes);
-        let (own, cross) = (self.of_active(), self.covariance.view((0, old), (old, n)).into_owned());
-        let map = self.covariance.view((old, old), (n, n)).into_owned();
+        let n = POSE * self.keyframes;
+        let own = transition * self.of_active() * transition.transpose() + noise;
+        let cross = transition * self.covariance.view((0, self.active), (self.active, n));
         self.active = transition.nrows();
-        let (own, cross) = (transition * own * transition.transpose() + noise, transition * cross);
-        self.assemble(&own, &cross, &map);
+        self.assemble(&own, &cross);
     }
 
-    fn assemble(&mut self, own: &DMatrix<f64>, cross: &DMatrix<f64>, map: &DMatrix<f64>) {
-        let (active, n) = (self.active, map.nrows());
-        self.covariance = DMatrix::zeros(active + n, active + n);
+    /// The covariance with these blocks of the active state and with the map; that of the map stays.
+    fn assemble(&mut self, own: &DMatrix<f64>, cross: &DMatrix<f64>) {
+        let (active, n) = cross.shape();
+        let old = self.covariance.nrows() - n;
+        if active != old {
+            let before = std::mem::replace(&mut self.covariance, DMatrix::zeros(active + n, active + n));
+            self.covariance.view_mut((active, active), (n, n)).copy_from(&before.view((old, old), (n, n)));
+        }
         self.covariance.view_mut((0, 0), (active, active)).copy_from(own);
         self.covariance.view_mut((0, active), (active, n)).copy_from(cross);
         self.covariance.view_mut((active, 0), (n, active)).copy_from(&cross.transpose());
-        self.covariance.view_mut((active, active), (n, n)).copy_from(map);
     }
 
     /// The errors of the map become `turn e`.
@@ -170,7 +173,8 @@ impl DenseFilter {
         let (own, cross) =
             (self.of_active(), self.covariance.view((0, active), (active, n)) * turn.transpose());
         let map = turn * self.covariance.view((active, active), (n, n)) * turn.transpose();
-        self.assemble(&own, &cross, &map);
+        self.assemble(&own, &cross);
+        self.covariance.view_mut((active, active), (n, n)).copy_from(&map);
     }
 
     /// Columns of a measurement over everything.
@@ -207,8 +211,7 @@ impl DenseFilter {
         }
         let kept = &keep * &self.covariance;
         let own = &kept * keep.transpose() + gain * gain.transpose();
-        let map = self.covariance.view((self.active, self.active), (n, n)).into_owned();
-        self.assemble(&own, &kept.columns(self.active, n).into_owned(), &map);
+        self.assemble(&own, &kept.columns(self.active, n).into_owned());
     }
 
     /// Propagates, clones, marginalizes, lets landmarks in and out; in both filters.
