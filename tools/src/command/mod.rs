@@ -28,7 +28,8 @@ pub mod inspect;
     feature = "manual",
     feature = "releases",
     feature = "ros",
-    feature = "secure"
+    feature = "secure",
+    feature = "vda5050"
 )))]
 mod left_out;
 pub mod localize;
@@ -59,6 +60,8 @@ pub mod stages;
 #[path = "no_stages.rs"]
 pub mod stages;
 pub mod track;
+#[cfg(feature = "vda5050")]
+pub mod vda5050;
 pub mod view;
 pub mod weights;
 
@@ -81,7 +84,7 @@ macro_rules! left_out {
     )+};
 }
 left_out!(checkout: "releases", convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases",
-    review_release: "releases");
+    review_release: "releases", vda5050: "vda5050");
 
 /// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
@@ -156,6 +159,9 @@ pub enum Command {
     Plot(plot::Args),
     /// Show a map or a run in the browser
     View(view::Args),
+    /// Publish robots as vehicles of VDA 5050 at an MQTT broker
+    #[command(name = "vda5050")]
+    Vda5050(Box<vda5050::Args>),
     /// Secure a fleet: certificates and access control for servers, robots and operators
     Fleet(fleet::Args),
     /// Install the weights of feature networks, or list the installed ones
@@ -206,6 +212,7 @@ impl Command {
             Self::Montecarlo(args) => montecarlo::run(&args),
             Self::Plot(args) => plot::run(&args),
             Self::View(args) => view::run(&args),
+            Self::Vda5050(args) => vda5050::run(args.as_ref()),
             Self::Fleet(args) => fleet::run(args),
             Self::Weights(args) => weights::run(args),
             Self::Manual(args) => manual::run(&args),

@@ -1,0 +1,179 @@
+//! The bridge: robots on Zenoh, vehicles at an MQTT broker.
+
+use crate::broker::{BrokerAddress, BrokerUser};
+use crate::fleet::Fleet;
+use crate::mqtt::{BrokerWatch, VehicleConnection};
+use crate::names::{INTERFACE, NameError, Topics, check_level, check_serial};
+use crate::vehicle::VehicleSettings;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+use thiserror::Error;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use zenoh::Session;
+
+/// Time between two looks for new robots.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Why a bridge cannot begin.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum BridgeError {
+    /// A name that cannot be a part of a topic.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// Two robots with one serial number.
+    #[error("the robots {first} and {second} have the same serial number {serial}: give each its own")]
+    SameSerial {
+        /// One robot.
+        first: String,
+        /// The other.
+        second: String,
+        /// The serial number of both.
+        serial: String,
+    },
+    /// A rate that is not positive, or beyond 100 Hz.
+    #[error("{0} Hz cannot be the rate of a topic: more than 0 and at most 100 are possible")]
+    Rate(f64),
+    /// Zenoh refused, as of a closed session.
+    #[error("the robots cannot be followed: {0}")]
+    Zenoh(zenoh::Error),
+}
+
+/// What a bridge does.
+#[derive(Clone, Debug)]
+pub struct BridgeSettings {
+    /// The broker.
+    pub broker: BrokerAddress,
+    /// The user there, if any.
+    pub user: Option<BrokerUser>,
+    /// First level of all topics.
+    pub interface: String,
+    /// Manufacturer of the vehicles.
+    pub manufacturer: String,
+    /// Serial numbers of the robots that are bridged, by name; empty for all robots, whose names are their serial numbers.
+    pub serials: BTreeMap<String, String>,
+    /// Messages of a vehicle a second.
+    pub rate_hz: f64,
+    /// Whether `connection` is published; not where the vehicle's own controller does.
+    pub announces: bool,
+    /// How vehicles are described.
+    pub vehicle: VehicleSettings,
+}
+
+impl BridgeSettings {
+    /// All robots, five times a second, with `connection`.
+    pub fn new(broker: BrokerAddress, manufacturer: impl Into<String>) -> Self {
+        Self {
+            broker,
+            user: None,
+            interface: INTERFACE.to_owned(),
+            manufacturer: manufacturer.into(),
+            serials: BTreeMap::new(),
+            rate_hz: 5.0,
+            announces: true,
+            vehicle: VehicleSettings::default(),
+        }
+    }
+
+    fn check(&self) -> Result<(), BridgeError> {
+        check_level(&self.interface)?;
+        check_level(&self.manufacturer)?;
+        if !(self.rate_hz > 0.0 && self.rate_hz <= 100.0) {
+            return Err(BridgeError::Rate(self.rate_hz));
+        }
+        let mut robots = BTreeMap::new();
+        for (robot, serial) in &self.serials {
+            check_serial(serial)?;
+            if let Some(first) = robots.insert(serial, robot) {
+                let (first, second, serial) = (first.clone(), robot.clone(), serial.clone());
+                return Err(BridgeError::SameSerial { first, second, serial });
+            }
+        }
+        Ok(())
+    }
+
+    /// The serial number of a robot; `None` for one that is not bridged.
+    fn serial_of(&self, robot: &str) -> Option<String> {
+        if self.serials.is_empty() { Some(robot.to_owned()) } else { self.serials.get(robot).cloned() }
+    }
+}
+
+/// What a bridge tells its program.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum BridgeEvent {
+    /// A robot was found, and is published under a topic.
+    Vehicle {
+        /// Its name.
+        robot: String,
+        /// Where its position is.
+        topic: String,
+    },
+    /// A robot whose name cannot be a serial number: it is not published.
+    Refused(NameError),
+    /// The broker answers.
+    BrokerReached,
+    /// The broker does not answer, or refuses; it is tried again until it does.
+    BrokerFailed {
+        /// What went wrong.
+        error: String,
+    },
+}
+
+/// Publishes the robots of a session's namespace as VDA 5050 vehicles until `stop` is complete, then says goodbye at the broker.
+///
+/// Each vehicle has a connection to the broker of its own, since a last will belongs to a connection. Nothing waits for the broker: while it
+/// does not answer positions are dropped, and after it does the newest follow.
+///
+/// # Arguments
+/// * `tell`: takes what happens; it must not block.
+///
+/// # Errors
+/// Settings that cannot be used, a session that is closed.
+pub async fn run(
+    session: &Session,
+    settings: BridgeSettings,
+    stop: impl Future<Output = ()>,
+    tell: impl Fn(BridgeEvent) + Send + Sync + 'static,
+) -> Result<(), BridgeError> {
+    settings.check()?;
+    let fleet = Arc::new(Fleet::new(settings.vehicle.clone()));
+    let _following = fleet.follow(session).await?;
+    let settings = Arc::new(settings);
+    let watch = Arc::new(BrokerWatch::new(tell));
+    let (stopping, stopped) = watch::channel(false);
+    let (mut tasks, mut known) = (JoinSet::new(), BTreeSet::new());
+    let mut looks = tokio::time::interval(LOOK);
+    tokio::pin!(stop);
+    loop {
+        tokio::select! {
+            () = &mut stop => break,
+            _ = looks.tick() => {}
+        }
+        for (robot, vehicle) in fleet.vehicles() {
+            let Some(serial) = settings.serial_of(&robot).filter(|_| known.insert(robot.clone())) else {
+                continue;
+            };
+            match Topics::new(&settings.interface, &settings.manufacturer, &serial) {
+                Ok(topics) => {
+                    watch.tell(BridgeEvent::Vehicle { robot, topic: topics.visualization.clone() });
+                    let connection = VehicleConnection::new(
+                        Arc::clone(&settings),
+                        Arc::clone(&watch),
+                        serial,
+                        topics,
+                        vehicle,
+                    );
+                    tasks.spawn(connection.serve(stopped.clone()));
+                }
+                Err(error) => watch.tell(BridgeEvent::Refused(error)),
+            }
+        }
+    }
+    // Nobody is left to receive it where there are no vehicles.
+    let _ = stopping.send(true);
+    while tasks.join_next().await.is_some() {}
+    Ok(())
+}
