@@ -76,8 +76,8 @@ fn localize() -> Result<()> {
         .ros
         .body(arguments.robot.imu_in_base_link, input.imu_from_base(&arguments, &stop, &runtime)?)?;
     let map_expected = arguments.robot.map_mode()? != MapMode::Odometry;
-    let settings =
-        arguments.ros.settings(&body, &arguments.robot.robot, map_expected, &arguments.robot.initial_poses);
+    let robot = &arguments.robot;
+    let settings = arguments.ros.settings(&body, &robot.robot, map_expected, !is_live, &robot.initial_poses);
     let ros = settings.map(|settings| RosOutput::start(settings, runtime.handle())).transpose();
     let (topics, ros_task) = ros.context("--ros2")?.unzip();
     arguments.robot.ros = topics;

@@ -6,6 +6,7 @@ mod carried;
 mod chaos;
 mod consistency;
 mod crates_picture;
+mod floors;
 mod images;
 mod initial_pose;
 mod inspect;

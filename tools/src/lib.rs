@@ -16,6 +16,8 @@ mod map_aliases;
 #[cfg(feature = "releases")]
 mod map_difference;
 pub mod map_place;
+#[cfg(feature = "ros")]
+pub mod map_topics;
 mod old_spellings;
 mod open_page;
 pub mod playback;

@@ -43,7 +43,32 @@ const NAV_SAT_STATUS: Fields = (
      uint16 SERVICE_UNKNOWN=0\nuint16 SERVICE_GPS=1\nuint16 SERVICE_GLONASS=2\nuint16 SERVICE_COMPASS=4\n\
      uint16 SERVICE_GALILEO=8\nint8 status\nuint16 service\n",
 );
+const POSE_STAMPED_FIELDS: Fields =
+    ("geometry_msgs/PoseStamped", "std_msgs/Header header\ngeometry_msgs/Pose pose\n");
+const MAP_META_DATA: Fields = (
+    "nav_msgs/MapMetaData",
+    "builtin_interfaces/Time map_load_time\nfloat32 resolution\nuint32 width\nuint32 height\ngeometry_msgs/Pose origin\n",
+);
+const POINT_FIELD: Fields = (
+    "sensor_msgs/PointField",
+    "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\nuint8 UINT32=6\nuint8 FLOAT32=7\n\
+     uint8 FLOAT64=8\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+);
 
+pub(crate) const CLOCK: Definition = Definition { fields: "builtin_interfaces/Time clock\n", types: &[TIME] };
+pub(crate) const PATH: Definition = Definition {
+    fields: "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
+    types: &[HEADER, TIME, POSE_STAMPED_FIELDS, POSE, POINT, QUATERNION],
+};
+pub(crate) const OCCUPANCY_GRID: Definition = Definition {
+    fields: "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data\n",
+    types: &[HEADER, TIME, MAP_META_DATA, POSE, POINT, QUATERNION],
+};
+pub(crate) const POINT_CLOUD: Definition = Definition {
+    fields: "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n\
+             uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n",
+    types: &[HEADER, TIME, POINT_FIELD],
+};
 pub(crate) const ODOMETRY: Definition = Definition {
     fields: "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
              geometry_msgs/TwistWithCovariance twist\n",

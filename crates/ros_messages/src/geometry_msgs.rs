@@ -60,6 +60,15 @@ pub struct Pose {
     pub orientation: Quaternion,
 }
 
+/// A pose with the time at which it holds and its frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseStamped {
+    /// Time and frame of the pose.
+    pub header: Header,
+    /// The pose in the header's frame.
+    pub pose: Pose,
+}
+
 /// A 6x6 matrix by rows: x, y, z, then rotations about the fixed x, y and z axes of the header's frame.
 pub type Covariance6 = [f64; 36];
 

@@ -179,3 +179,83 @@ impl RosMessage for CameraInfo {
     const TYPE_HASH: &'static str = "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275";
     const DEFINITION: Definition = definition::CAMERA_INFO;
 }
+
+/// A field of the points of a cloud.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PointField {
+    /// For example `x`.
+    pub name: String,
+    /// Bytes from the begin of a point.
+    pub offset: u32,
+    /// [`PointField::FLOAT32`], or another number type of ROS.
+    pub datatype: u8,
+    /// Numbers in the field.
+    pub count: u32,
+}
+
+impl PointField {
+    /// 32-bit floats.
+    pub const FLOAT32: u8 = 7;
+}
+
+/// `sensor_msgs/msg/PointCloud2`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    /// Time and frame of the points.
+    pub header: Header,
+    /// Rows; 1 for a cloud without order.
+    pub height: u32,
+    /// Points of a row.
+    pub width: u32,
+    /// What a point consists of.
+    pub fields: Vec<PointField>,
+    /// Whether numbers are big-endian.
+    pub is_bigendian: bool,
+    /// Bytes of a point.
+    pub point_step: u32,
+    /// Bytes of a row.
+    pub row_step: u32,
+    /// The points, by rows.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+    /// Whether all points are finite.
+    pub is_dense: bool,
+}
+
+impl PointCloud2 {
+    /// A cloud of points with the fields `x`, `y` and `z`, metres.
+    ///
+    /// ```
+    /// use ros_messages::sensor_msgs::PointCloud2;
+    ///
+    /// let cloud = PointCloud2::of_points(Default::default(), &[[1.0, 2.0, 3.0]]);
+    /// assert_eq!((cloud.width, cloud.point_step, cloud.data.len()), (1, 12, 12));
+    /// ```
+    pub fn of_points(header: Header, points: &[[f32; 3]]) -> Self {
+        let field = |(name, offset): (&str, u32)| PointField {
+            name: name.to_owned(),
+            offset,
+            datatype: PointField::FLOAT32,
+            count: 1,
+        };
+        let point_step = 12;
+        let width = points.len() as u32;
+        Self {
+            header,
+            height: 1,
+            width,
+            fields: [("x", 0), ("y", 4), ("z", 8)].map(field).to_vec(),
+            is_bigendian: false,
+            point_step,
+            row_step: point_step * width,
+            data: points.iter().flatten().flat_map(|number| number.to_le_bytes()).collect(),
+            is_dense: points.iter().flatten().all(|number| number.is_finite()),
+        }
+    }
+}
+
+impl RosMessage for PointCloud2 {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/PointCloud2";
+    const TYPE_HASH: &'static str = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5";
+    const DEFINITION: Definition = definition::POINT_CLOUD;
+}

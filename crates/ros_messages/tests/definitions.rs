@@ -2,8 +2,11 @@
 
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
-use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState, NavSatFix};
+use ros_messages::nav_msgs::{OccupancyGrid, Odometry, Path};
+use ros_messages::rosgraph_msgs::Clock;
+use ros_messages::sensor_msgs::{
+    CameraInfo, CompressedImage, Image, Imu, JointState, NavSatFix, PointCloud2,
+};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, definition};
 use sha2::{Digest as _, Sha256};
@@ -11,12 +14,13 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// `type_description_interfaces/FieldType`: numbers of plain types, of arrays and of sequences.
-const PLAIN: [(&str, u32); 9] = [
+const PLAIN: [(&str, u32); 10] = [
     ("int8", 2),
     ("uint8", 3),
     ("uint16", 5),
     ("int32", 6),
     ("uint32", 7),
+    ("float32", 10),
     ("float64", 11),
     ("bool", 15),
     ("byte", 16),
@@ -88,4 +92,8 @@ fn every_definition_has_the_hash_of_its_type() {
     is_of_ros::<Odometry>();
     is_of_ros::<TFMessage>();
     is_of_ros::<DiagnosticArray>();
+    is_of_ros::<Clock>();
+    is_of_ros::<Path>();
+    is_of_ros::<OccupancyGrid>();
+    is_of_ros::<PointCloud2>();
 }

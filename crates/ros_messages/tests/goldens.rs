@@ -2,8 +2,9 @@
 
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
-use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
+use ros_messages::nav_msgs::{OccupancyGrid, Odometry, Path as RosPath};
+use ros_messages::rosgraph_msgs::Clock;
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, PointCloud2};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, decode, encode};
 use serde::Deserialize;
@@ -39,4 +40,8 @@ fn every_message_has_the_bytes_of_ros() {
     equals_ros::<Odometry>();
     equals_ros::<TFMessage>();
     equals_ros::<DiagnosticArray>();
+    equals_ros::<Clock>();
+    equals_ros::<RosPath>();
+    equals_ros::<OccupancyGrid>();
+    equals_ros::<PointCloud2>();
 }

@@ -4,11 +4,12 @@ use proptest::prelude::*;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use ros_messages::geometry_msgs::{
-    Pose, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Twist,
-    TwistWithCovariance, Vector3,
+    Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, Transform,
+    TransformStamped, Twist, TwistWithCovariance, Vector3,
 };
-use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, RegionOfInterest};
+use ros_messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry, Path};
+use ros_messages::rosgraph_msgs::Clock;
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, PointCloud2, RegionOfInterest};
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, decode, encode};
@@ -49,6 +50,18 @@ proptest! {
         let twist = TwistWithCovariance { twist: velocity, covariance: twist.covariance };
         survives(&PoseWithCovarianceStamped { header: header.clone(), pose });
         survives(&Odometry { header, child_frame_id, pose, twist });
+    }
+
+    #[test]
+    fn paths_and_maps(header in headers(), poses in prop::collection::vec((headers(), poses()), 0..4), data in prop::collection::vec(any::<i8>(), 0..99),
+                      points in prop::collection::vec(any::<[f32; 3]>(), 0..9), resolution in any::<f32>()) {
+        let poses: Vec<PoseStamped> = poses.into_iter().map(|(header, pose)| PoseStamped { header, pose: pose.pose }).collect();
+        let origin = poses.first().map(|pose| pose.pose).unwrap_or_default();
+        let info = MapMetaData { map_load_time: header.stamp, resolution, width: 7, height: data.len() as u32, origin };
+        survives(&Clock { clock: header.stamp });
+        survives(&Path { header: header.clone(), poses });
+        survives(&OccupancyGrid { header: header.clone(), info, data });
+        survives(&PointCloud2::of_points(header, &points));
     }
 
     #[test]

@@ -27,6 +27,9 @@ pub struct RosArguments {
     /// Namespace of node and topics, for example cart7 [default: none]; /tf and /diagnostics have none
     #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, help_heading = ROS)]
     pub ros2_namespace: String,
+    /// Do not publish /clock while a recording is played: another node does
+    #[arg(long, requires = "ros2", help_heading = ROS)]
+    pub no_ros2_clock: bool,
     /// Topic on which an operator sets the robot's pose in the map, for example /initialpose (RViz's 2D Pose Estimate): where the
     /// map is searched first [default: none]
     #[arg(long, value_name = "TOPIC", requires = "ros2", help_heading = ROS)]
@@ -82,12 +85,14 @@ impl RosArguments {
     /// * `body`: the frames of the robot.
     /// * `robot`: its name, for diagnostics.
     /// * `map_expected`: whether the robot is to be localized in a map.
+    /// * `is_replay`: whether a recording is played, whose time is that of the other nodes.
     /// * `initial_poses`: where the poses of `--initial-pose-topic` go.
     pub fn settings(
         &self,
         body: &RosBody,
         robot: &str,
         map_expected: bool,
+        is_replay: bool,
         initial_poses: &InitialPoses,
     ) -> Option<RosSettings> {
         self.ros2.then(|| RosSettings {
@@ -97,6 +102,7 @@ impl RosArguments {
             body: body.clone(),
             robot: robot.to_owned(),
             map_expected,
+            has_clock: is_replay && !self.no_ros2_clock,
             initial_pose: self
                 .initial_pose_topic
                 .clone()

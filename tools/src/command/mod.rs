@@ -38,6 +38,7 @@ pub mod manual;
 pub mod map_info;
 pub mod merge_maps;
 pub mod montecarlo;
+pub mod occupancy_grid;
 #[cfg(feature = "ros")]
 pub mod play;
 pub mod plot;
@@ -52,6 +53,8 @@ pub mod releases;
 pub mod releases;
 #[cfg(feature = "releases")]
 pub mod review_release;
+#[cfg(feature = "ros")]
+pub mod ros2_map;
 pub mod run;
 pub mod simulate;
 #[cfg(feature = "releases")]
@@ -84,7 +87,7 @@ macro_rules! left_out {
     )+};
 }
 left_out!(checkout: "releases", convert: "bags", fleet: "secure", info: "bags", manual: "manual", play: "ros", publish_map: "releases",
-    review_release: "releases", vda5050: "vda5050");
+    review_release: "releases", ros2_map: "ros", vda5050: "vda5050");
 
 /// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
@@ -103,6 +106,11 @@ pub enum Command {
     ExportMap(export_map::Args),
     /// Export a map as a COLMAP model
     ExportColmap(export_colmap::Args),
+    /// Write an occupancy grid of a map, for Nav2
+    OccupancyGrid(occupancy_grid::Args),
+    /// Publish a map on topics of ROS 2: occupancy grid and points
+    #[command(name = "ros2-map")]
+    Ros2Map(Box<ros2_map::Args>),
     /// Take keyframes or landmarks out of a map, or thin it out
     EditMap(edit_map::Args),
     /// Make one map of two that overlap
@@ -184,6 +192,8 @@ impl Command {
             Self::ImportColmap(args) => import_colmap::run(args),
             Self::ExportMap(args) => export_map::run(args),
             Self::ExportColmap(args) => export_colmap::run(args),
+            Self::OccupancyGrid(args) => occupancy_grid::run(&args),
+            Self::Ros2Map(args) => ros2_map::run(args.as_ref()),
             Self::EditMap(args) => edit_map::run(&args),
             Self::MergeMaps(args) => merge_maps::run(&args),
             Self::PublishMap(args) => publish_map::run(&args),

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 pub enum Form {
     /// Driftless' own messages, for `onboard --source native`.
     Native,
-    /// ROS 2 over rmw_zenoh: /imu0, /cam0/image_raw, /cam0/image_raw/compressed, /cam0/camera_info.
+    /// ROS 2 over rmw_zenoh: /clock, /imu0, /cam0/image_raw, /cam0/image_raw/compressed, /cam0/camera_info.
     Ros2,
 }
 

@@ -3,6 +3,8 @@
 use super::SensorTopics;
 use anyhow::{Context as _, Result};
 use geometry::camera::Camera as Projection;
+use ros_messages::builtin_interfaces::Time;
+use ros_messages::rosgraph_msgs::Clock;
 use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros2::liveliness::Endpoint;
@@ -11,16 +13,23 @@ use sensors::ros::{
     ImageMessage, camera_info_message, has_ros_name, image_message, imu_message, pixels_message,
 };
 use sensors::{CameraSensor, Frame, ImageData, ImuSample};
+use std::cell::Cell;
 use tokio::runtime::Handle;
 
 /// Topic of the IMU.
 const IMU: &str = "/imu0";
 
-/// `/imu0`, `/cam0/image_raw`, `/cam0/image_raw/compressed`, `/cam0/camera_info` and those of camera 1, for `onboard --source ros2` and other
+/// Nanoseconds between two messages of `/clock`, at least.
+const CLOCK_PERIOD_NS: i64 = 10_000_000;
+
+/// `/clock`, `/imu0`, `/cam0/image_raw`, `/cam0/image_raw/compressed`, `/cam0/camera_info` and those of camera 1, for `onboard --source ros2` and other
 /// nodes.
 #[derive(Debug)]
 pub struct RosTopics {
     runtime: Handle,
+    clock: Publisher<Clock>,
+    /// Time of the last message of `/clock`, nanoseconds.
+    told_ns: Cell<i64>,
     imu: Publisher<Imu>,
     cameras: Vec<Camera>,
     node: Node,
@@ -53,6 +62,7 @@ impl RosTopics {
             let node = Node::new(session, node).await?;
             let qos = Qos::every_message();
             let imu = node.publisher(IMU, qos).await?;
+            let clock = node.publisher("/clock", Qos::sensor_data()).await?;
             let mut topics = Vec::new();
             for (camera, sensor) in cameras.iter().enumerate() {
                 let raw = node.publisher(&format!("/cam{camera}/image_raw"), qos).await?;
@@ -65,8 +75,21 @@ impl RosTopics {
                 }
                 topics.push(Camera { raw, compressed, info, projection: sensor.camera.clone() });
             }
-            Ok(Self { runtime: runtime.clone(), imu, cameras: topics, node })
+            let told_ns = Cell::new(i64::MIN);
+            Ok(Self { runtime: runtime.clone(), clock, told_ns, imu, cameras: topics, node })
         })
+    }
+}
+
+impl RosTopics {
+    /// Publishes the time, unless that was just done.
+    fn tell_time(&self, stamp_ns: i64, clock: Time) -> Result<()> {
+        let since_ns = stamp_ns.saturating_sub(self.told_ns.get());
+        if (0..CLOCK_PERIOD_NS).contains(&since_ns) {
+            return Ok(());
+        }
+        self.told_ns.set(stamp_ns);
+        Ok(self.runtime.block_on(self.clock.publish(&Clock { clock }))?)
     }
 }
 
@@ -132,6 +155,7 @@ impl SensorTopics for RosTopics {
 
     fn reading(&self, reading: &ImuSample) -> Result<()> {
         let message = imu_message(reading, "imu").with_context(|| not_a_time(reading.stamp_ns))?;
+        self.tell_time(reading.stamp_ns, message.header.stamp)?;
         Ok(self.runtime.block_on(self.imu.publish(&message))?)
     }
 

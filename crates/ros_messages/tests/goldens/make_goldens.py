@@ -3,7 +3,7 @@
 
 python3.11 -m venv venv
 venv/bin/pip install 'ros-jazzy-rclpy[fastrtps]' ros-wheels-bootstrapper rosbags \
-    ros-jazzy-nav-msgs ros-jazzy-sensor-msgs ros-jazzy-geometry-msgs ros-jazzy-diagnostic-msgs
+    ros-jazzy-nav-msgs ros-jazzy-sensor-msgs ros-jazzy-geometry-msgs ros-jazzy-diagnostic-msgs ros-jazzy-rosgraph-msgs
 AMENT_PREFIX_PATH=$PWD/venv RMW_IMPLEMENTATION=rmw_fastrtps_cpp venv/bin/python make_goldens.py
 
 `TYPE.cdr` is what `rclpy.serialization` wrote, with padding zeroed (ROS leaves it uninitialized): a byte is padding if
@@ -22,6 +22,7 @@ HERE = Path(__file__).parent
 BY_RCLPY = [
     "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo",
     "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", "diagnostic_msgs/msg/DiagnosticArray",
+    "rosgraph_msgs/msg/Clock", "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/PointCloud2",
 ]  # fmt: skip
 STORE = get_typestore(Stores.ROS2_JAZZY)
 

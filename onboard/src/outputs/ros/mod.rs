@@ -5,6 +5,8 @@
 //! | `odometry` | `nav_msgs/Odometry` | odom from base_link, smooth |
 //! | `odometry_predicted` | `nav_msgs/Odometry` | the same at the rate of the IMU |
 //! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | map from base_link, where localized |
+//! | `path` | `nav_msgs/Path` | where the robot was in the map; latched |
+//! | `/clock` | `rosgraph_msgs/Clock` | the time of the sensors, where a recording is played |
 //! | `/tf` | `tf2_msgs/TFMessage` | map from odom (may jump), odom from base_link (REP-105) |
 //! | `/initialpose` | `geometry_msgs/PoseWithCovarianceStamped` | received, where that is wanted: a pose by an operator |
 //! | `/tf_static` | `tf2_msgs/TFMessage` | base_link from IMU, IMU from cameras; latched |
@@ -20,6 +22,8 @@ mod messages;
 mod odom_frame;
 #[cfg_attr(not(feature = "ros"), path = "no_output.rs")]
 mod output;
+#[cfg(feature = "ros")]
+mod path;
 #[cfg(feature = "ros")]
 mod serving;
 mod settings;

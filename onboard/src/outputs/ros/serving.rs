@@ -4,18 +4,20 @@ use super::diagnostics::Diagnostics;
 use super::initial_pose::{InitialPoseSubscription, next_initial_pose};
 use super::messages::Messages;
 use super::output::{Changes, Outgoing};
+use super::path::DrivenPath;
 use super::settings::RosSettings;
 use client::session::{close_session, open_session};
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
-use ros_messages::nav_msgs::Odometry;
+use ros_messages::nav_msgs::{Odometry, Path};
+use ros_messages::rosgraph_msgs::Clock;
 use ros_messages::tf2_msgs::TFMessage;
 use ros2::{History, Node, NodeOptions, Publisher, Qos, RosError};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 
-/// Period of the diagnostics.
+/// Period of the diagnostics, and of a path that changes.
 const PERIOD: Duration = Duration::from_secs(1);
 /// Depth of `/tf`: what `tf2_ros` publishes with.
 const TF_DEPTH: usize = 100;
@@ -29,6 +31,8 @@ struct Topics {
     transforms: Publisher<TFMessage>,
     static_transforms: Option<Publisher<TFMessage>>,
     diagnostics: Publisher<DiagnosticArray>,
+    path: Publisher<Path>,
+    clock: Option<Publisher<Clock>>,
 }
 
 /// Publishes until nobody sends any more.
@@ -73,14 +77,18 @@ impl Topics {
         let has_static = !settings.body.sensor_frames.names.is_empty();
         let static_transforms =
             if has_static { Some(node.publisher("/tf_static", Qos::latched()).await?) } else { None };
+        let clock =
+            if settings.has_clock { Some(node.publisher("/clock", Qos::sensor_data()).await?) } else { None };
         Ok(Self {
             static_transforms,
+            clock,
             initial_pose: InitialPoseSubscription::announce(&node, settings).await?,
             odometry: node.publisher("odometry", Qos::reliable()).await?,
             predicted: node.publisher("odometry_predicted", Qos::sensor_data()).await?,
             pose: node.publisher("pose", Qos::reliable()).await?,
             transforms: node.publisher("/tf", transforms).await?,
             diagnostics: node.publisher("/diagnostics", Qos::reliable()).await?,
+            path: node.publisher("path", Qos::latched()).await?,
             _node: node,
         })
     }
@@ -88,15 +96,24 @@ impl Topics {
     async fn publish_all(&self, queue: &mut mpsc::Receiver<Outgoing>, changes: &mut Changes) {
         let Changes { diagnostics, static_transforms } = changes;
         let mut period = tokio::time::interval(PERIOD);
+        let mut path = DrivenPath::default();
         loop {
             let published = tokio::select! {
                 messages = queue.recv() => match messages {
-                    Some(Outgoing::Estimate(messages)) => self.publish(&messages).await,
+                    Some(Outgoing::Estimate(messages)) => {
+                        if let Some(pose) = &messages.pose {
+                            path.add(pose);
+                        }
+                        self.publish(&messages).await
+                    }
                     Some(Outgoing::Predicted(odometry)) => self.predicted.publish(&odometry).await,
-                    None => return,
+                    None => return self.publish_path(&mut path).await,
                 },
                 Ok(()) = diagnostics.changed() => self.publish_diagnostics(diagnostics).await,
-                _ = period.tick() => self.publish_diagnostics(diagnostics).await,
+                _ = period.tick() => {
+                    self.publish_path(&mut path).await;
+                    self.publish_diagnostics(diagnostics).await
+                }
                 Ok(()) = static_transforms.changed() => self.publish_static(static_transforms).await,
                 received = next_initial_pose(self.initial_pose.as_ref()) => received,
             };
@@ -107,12 +124,23 @@ impl Topics {
     }
 
     async fn publish(&self, messages: &Messages) -> Result<(), RosError> {
+        if let Some(clock) = &self.clock {
+            clock.publish(&Clock { clock: messages.odometry.header.stamp }).await?;
+        }
         self.transforms.publish(&messages.transforms).await?;
         self.odometry.publish(&messages.odometry).await?;
         if let Some(pose) = &messages.pose {
             self.pose.publish(pose).await?;
         }
         Ok(())
+    }
+
+    async fn publish_path(&self, path: &mut DrivenPath) {
+        if let Some(message) = path.changed()
+            && let Err(error) = self.path.publish(message).await
+        {
+            tracing::debug!(%error, "the path was not published");
+        }
     }
 
     async fn publish_static(&self, newest: &mut watch::Receiver<TFMessage>) -> Result<(), RosError> {

@@ -23,6 +23,8 @@ pub struct RosSettings {
     pub robot: String,
     /// Whether odometry without a pose in the map is worth a warning.
     pub map_expected: bool,
+    /// Whether `/clock` is published: a recording is played.
+    pub has_clock: bool,
     /// Where an operator sets poses.
     pub initial_pose: Option<InitialPoseTopic>,
 }

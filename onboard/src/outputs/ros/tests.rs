@@ -14,7 +14,8 @@ use robot::{Estimate, GlobalEstimate, Output as _, StatusReport};
 use ros_messages::RosMessage;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
 use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, TransformStamped};
-use ros_messages::nav_msgs::Odometry;
+use ros_messages::nav_msgs::{Odometry, Path};
+use ros_messages::rosgraph_msgs::Clock;
 use ros_messages::tf2_msgs::TFMessage;
 use ros2::{Node, NodeOptions, Qos, Subscriber};
 use std::time::Duration;
@@ -28,6 +29,7 @@ pub fn settings() -> RosSettings {
         body: RosBody { imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]), ..RosBody::default() },
         robot: "cart7".to_owned(),
         map_expected: true,
+        has_clock: true,
         initial_pose: None,
     }
 }
@@ -234,6 +236,8 @@ fn other_nodes_receive_all_topics() {
             node.subscriber::<DiagnosticArray>("/diagnostics", Qos::reliable(), 10).await.unwrap(),
         )
     });
+    let clock = runtime.block_on(node.subscriber::<Clock>("/clock", Qos::sensor_data(), 10)).unwrap();
+    let path = runtime.block_on(node.subscriber::<Path>("path", Qos::reliable(), 10)).unwrap();
     let mut settings = settings();
     settings.session.connect = vec![endpoint];
     (settings.domain, settings.namespace) = (9, "cart7".into());
@@ -247,6 +251,10 @@ fn other_nodes_receive_all_topics() {
     output.estimate(&estimate());
     let expected = made(&mut OdomFrame::default(), &estimate());
     assert_eq!(runtime.block_on(next(&odometry)), expected.odometry);
+    assert_eq!(runtime.block_on(next(&clock)).clock, expected.odometry.header.stamp);
+    let driven = runtime.block_on(next(&path));
+    let pose_of_path = driven.poses.first().map(|pose| (&pose.header, pose.pose));
+    assert_eq!(pose_of_path, expected.pose.as_ref().map(|pose| (&pose.header, pose.pose.pose)));
     assert_eq!(Some(runtime.block_on(next(&pose))), expected.pose);
     assert_eq!(runtime.block_on(next(&transforms)), expected.transforms);
     let mut motion = estimate().motion;

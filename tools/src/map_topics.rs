@@ -1,0 +1,53 @@
+//! A stored map as messages of ROS 2.
+
+use map::MapContents;
+use map_io::occupancy::OccupancyGrid;
+use nalgebra::Vector3;
+use ros_messages::builtin_interfaces::Time;
+use ros_messages::geometry_msgs::Pose;
+use ros_messages::nav_msgs::{self, MapMetaData};
+use ros_messages::sensor_msgs::PointCloud2;
+use ros_messages::std_msgs::Header;
+use std::collections::BTreeMap;
+use std::time::SystemTime;
+
+/// Most points of a cloud: sessions drop messages above 16 MiB.
+pub const MAX_POINTS: usize = 1_000_000;
+
+/// The landmarks of a map in its frame, metres; of more than [`MAX_POINTS`] every second, third, and so on.
+pub fn points_message(map: &MapContents, frame: &str) -> PointCloud2 {
+    let poses: BTreeMap<u64, _> =
+        map.keyframes.iter().map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose)).collect();
+    let step = map.landmarks.len().div_ceil(MAX_POINTS).max(1);
+    let points: Vec<[f32; 3]> = map
+        .landmarks
+        .iter()
+        .step_by(step)
+        .filter_map(|landmark| {
+            let position: Vector3<f64> = poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor);
+            Some(position.map(|value| value as f32).into())
+        })
+        .collect();
+    PointCloud2::of_points(header(frame), &points)
+}
+
+/// A grid with its place in the frame of the map.
+pub fn grid_message(grid: &OccupancyGrid, frame: &str) -> nav_msgs::OccupancyGrid {
+    let header = header(frame);
+    let [x, y] = grid.origin_m;
+    let origin = Pose { position: [x, y, 0.0].into(), ..Pose::default() };
+    let info = MapMetaData {
+        map_load_time: header.stamp,
+        resolution: grid.resolution_m as f32,
+        width: grid.width as u32,
+        height: grid.height as u32,
+        origin,
+    };
+    nav_msgs::OccupancyGrid { header, info, data: grid.cells.iter().map(|cell| cell.percent()).collect() }
+}
+
+fn header(frame: &str) -> Header {
+    let since_epoch = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
+    Header { stamp, frame_id: frame.to_owned() }
+}
