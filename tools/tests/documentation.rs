@@ -158,6 +158,13 @@ fn getting_started_runs_as_it_is_printed() {
 }
 
 #[test]
+fn the_map_of_nav2_is_made_as_it_is_printed() {
+    let is_of_map =
+        |block: &[&Printed]| block.iter().any(|printed| printed.words.iter().any(|word| word == "simulate"));
+    run_blocks("docs/src/nav2.md", is_of_map);
+}
+
+#[test]
 #[ignore = "renders 45 s of images twice, some minutes; `just nightly` runs it"]
 fn getting_started_with_images_runs_as_it_is_printed() {
     run_blocks("docs/src/getting-started.md", has_images);

@@ -46,7 +46,7 @@ impl GridSettings {
     fn check(&self) -> Result<(), GridError> {
         let positive = [("the resolution", self.resolution_m), ("the range", self.max_range_m)];
         for (setting, value) in positive {
-            if !(value >= 0.001 && value <= 1000.0) {
+            if !(0.001..=1000.0).contains(&value) {
                 return Err(GridError::Setting { setting, value, wanted: "it must be from 0.001 to 1000 m" });
             }
         }

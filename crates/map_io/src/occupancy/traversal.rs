@@ -21,7 +21,7 @@ pub(super) fn traverse(from: [f64; 2], to: [f64; 2], mut visit: impl FnMut([i64;
     let borders: i64 = (0..2).map(|axis| (last[axis] - cell[axis]).abs()).sum();
     for _ in 0..borders {
         let is_done = |axis: usize| cell[axis] == last[axis];
-        let axis = if is_done(0) || !is_done(1) && next[1] < next[0] { 1 } else { 0 };
+        let axis = usize::from(is_done(0) || !is_done(1) && next[1] < next[0]);
         cell[axis] += step[axis];
         next[axis] += part(axis);
         visit(cell);

@@ -69,8 +69,8 @@ mod tests {
     use ros_messages::std_msgs::Header;
 
     fn pose(x: f64, yaw: f64) -> PoseWithCovarianceStamped {
-        let mut pose = PoseWithCovarianceStamped::default();
-        pose.header = Header::new((x * 1e9) as i64, "map").unwrap();
+        let header = Header::new((x * 1e9) as i64, "map").unwrap();
+        let mut pose = PoseWithCovarianceStamped { header, ..PoseWithCovarianceStamped::default() };
         pose.pose.pose.position.x = x;
         pose.pose.pose.orientation =
             Quaternion { x: 0.0, y: 0.0, z: (yaw / 2.0).sin(), w: (yaw / 2.0).cos() };
