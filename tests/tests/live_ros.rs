@@ -3,7 +3,8 @@
 use onboard::StopSignal;
 use onboard::ros_camera_info::wait_for_cameras;
 use onboard::ros_sensors::{RosSensors, RosTopics};
-use ros2::NodeOptions;
+use ros_messages::rosgraph_msgs::Clock;
+use ros2::{Node, NodeOptions, Qos};
 use sensors::live::{LiveSettings, LiveSource};
 use sensors::{
     CameraSensor, Frame, Recording, SensorEvent, SensorSource, read_rig_calibration, states_intrinsics,
@@ -54,6 +55,10 @@ fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<G
     let session = robot.session.clone();
     let sensors =
         robot.runtime.block_on(RosSensors::start(session, node("sensors"), &topics, &inputs)).unwrap();
+    let clock = robot.runtime.block_on(async {
+        let node = Node::new(robot.session.clone(), node("clock")).await.unwrap();
+        (node.subscriber::<Clock>("/clock", Qos::sensor_data(), 10_000).await.unwrap(), node)
+    });
     let stop = StopSignal::default();
     let (session, runtime) = (driver.session.clone(), driver.runtime.handle());
     let topics = playback::RosTopics::new(session, runtime, node("player"), cameras_of(recording)).unwrap();
@@ -69,7 +74,18 @@ fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<G
             _ => {}
         }
     }
-    drop((sensors, topics));
+    let told: Vec<i64> = robot.runtime.block_on(async {
+        let mut told = Vec::new();
+        while let Ok(received) = tokio::time::timeout(Duration::from_millis(500), clock.0.receive()).await {
+            told.push(received.unwrap().message.unwrap().clock.to_nanoseconds());
+        }
+        told
+    });
+    let stamps: Vec<i64> =
+        recording.imu_samples().unwrap().map(|reading| reading.unwrap().stamp_ns).collect();
+    assert!(told.len() > 5 && told.is_sorted(), "{told:?}");
+    assert!(told.iter().all(|stamp_ns| stamps.contains(stamp_ns)), "the time is that of the readings");
+    drop((sensors, topics, clock));
     driver.close();
     robot.close();
     (readings, frames)

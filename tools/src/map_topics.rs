@@ -51,3 +51,35 @@ fn header(frame: &str) -> Header {
     let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
     Header { stamp, frame_id: frame.to_owned() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use map_io::occupancy::Cell;
+    use testing::{Place, PlaceOptions};
+
+    #[test]
+    fn points_are_the_landmarks_in_the_frame_of_the_map() {
+        let map = Place::new(&PlaceOptions::default()).map;
+        let cloud = points_message(&map, "hall");
+        assert_eq!((cloud.width as usize, cloud.header.frame_id.as_str()), (map.landmarks.len(), "hall"));
+        let landmark = &map.landmarks[7];
+        let anchor = map.keyframes.iter().find(|keyframe| keyframe.id == landmark.anchor).unwrap();
+        let expected = anchor.global_from_keyframe.pose.transform(&landmark.position_in_anchor);
+        for axis in 0..3 {
+            let at = 12 * 7 + 4 * axis;
+            let value = f32::from_le_bytes(cloud.data[at..at + 4].try_into().unwrap());
+            assert!((f64::from(value) - expected[axis]).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_grid_keeps_its_cells_and_its_place() {
+        let cells = vec![Cell::Occupied, Cell::Free, Cell::Unknown, Cell::Free, Cell::Free, Cell::Occupied];
+        let grid = OccupancyGrid { resolution_m: 0.5, origin_m: [-3.0, 2.5], width: 3, height: 2, cells };
+        let message = grid_message(&grid, "map");
+        assert_eq!(message.data, [100, 0, -1, 0, 0, 100]);
+        assert_eq!((message.info.width, message.info.height, message.info.resolution), (3, 2, 0.5));
+        assert_eq!(message.info.origin.position, [-3.0, 2.5, 0.0].into());
+    }
+}
