@@ -224,6 +224,17 @@ async fn a_refusal_is_named_and_nothing_blocks() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_broker_that_says_nothing_is_named_and_nothing_blocks() {
+    // Connections are accepted by the system, and nobody reads.
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let running = start(settings(&format!("mqtt://{}", listener.local_addr().unwrap()))).await;
+    let _present = running.presence("cart7");
+    let is_named = |event: &BridgeEvent| matches!(event, BridgeEvent::BrokerFailed { error } if error.contains("does not answer"));
+    running.wait_for(is_named).await;
+    running.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_bridge_ends_at_once_without_a_broker() {
     // Nobody listens there any more.
     let broker = Broker::start(0, 0).await;
