@@ -12,6 +12,7 @@
 //! | [`store`] | maps in folders: written, replaced and read |
 //! | [`edit`] | taking keyframes and landmarks out |
 //! | [`difference`] | what changed between two versions |
+//! | [`sessions`] | the ledger: which recordings a map was made of |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod contents;
@@ -19,6 +20,7 @@ pub mod difference;
 pub mod edit;
 pub mod file;
 pub mod model;
+pub mod sessions;
 pub mod store;
 
 pub use contents::{ContentsError, MapContents};

@@ -11,6 +11,8 @@ use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
 
+use crate::sessions::Session;
+
 /// Standard deviation of a map pixel (px) where the builder of a map states no other: features are located to about a
 /// pixel.
 pub const DEFAULT_SIGMA_PX: f64 = 1.0;
@@ -42,10 +44,13 @@ pub struct MapMetadata {
     pub sigma_px: f64,
     /// Name and version of the extractor that computed the descriptors, like `sift-1`; empty where unknown.
     pub extractor: String,
+    /// The ledger: which sessions the map was made of, by the ids of their keyframes, which ascend from session to session.
+    /// Empty where it is not known.
+    pub sessions: Vec<Session>,
 }
 
 impl MapMetadata {
-    /// Info of a new map: version 0, no identity, gravity and extractor unknown, not its own frame, [`DEFAULT_SIGMA_PX`].
+    /// Info of a new map: version 0, no identity, gravity, extractor and sessions unknown, not its own frame, [`DEFAULT_SIGMA_PX`].
     ///
     /// # Arguments
     /// * `descriptor_width`: bytes in one descriptor.
@@ -66,6 +71,7 @@ impl MapMetadata {
             descriptor_width,
             sigma_px: DEFAULT_SIGMA_PX,
             extractor: String::new(),
+            sessions: Vec::new(),
         }
     }
 }

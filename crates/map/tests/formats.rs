@@ -18,12 +18,13 @@ fn everything() -> MapContents {
         Place::new(&PlaceOptions { keyframes: 4, landmarks: 12, ..PlaceOptions::default() }).map;
     add_common_errors(&mut contents, 2);
     add_aliases(&mut contents);
+    contents.ensure_sessions("drive_1");
     contents
 }
 
 #[test]
-fn a_map_of_schema_8_is_read() {
-    let path = file("schema_8.db");
+fn a_map_of_schema_9_is_read() {
+    let path = file("schema_9.db");
     if std::env::var_os(UPDATE).is_some() {
         let _ = std::fs::remove_dir_all(&path);
         store::save_map(&path, &everything(), false).unwrap();
@@ -36,5 +37,7 @@ fn a_map_of_schema_8_is_read() {
     assert!(!read.landmarks.is_empty() && read.observation_count() > read.landmarks.len());
     assert!(read.common_errors.iter().all(|common| common.factor.ncols() == 2));
     assert_eq!(read.keyframes[0].camera, testing::camera());
+    assert_eq!((read.info.sessions.len(), read.info.sessions[0].keyframes), (1, 4));
+    assert!(read.audit_sessions().is_empty());
     read.validate().unwrap();
 }

@@ -11,7 +11,10 @@ const CHILD_PATH: &str = "MAP_STORE_TEST_CHILD";
 const CHILD_SEED: &str = "MAP_STORE_TEST_SEED";
 
 fn place(seed: u64) -> MapContents {
-    Place::new(&PlaceOptions { seed, keyframes: 12, landmarks: 600, ..PlaceOptions::default() }).map
+    let options = PlaceOptions { seed, keyframes: 12, landmarks: 600, ..PlaceOptions::default() };
+    let mut map = Place::new(&options).map;
+    map.ensure_sessions(&format!("drive_{seed}"));
+    map
 }
 
 fn read(path: &Path) -> MapContents {
@@ -67,6 +70,8 @@ fn a_killed_first_import_is_no_map_and_a_killed_replacement_changes_nothing() {
                     let seed = if contents.info.version == 1 + u64::from(replace) { 2 } else { 1 };
                     assert!(seed == 2 || !acknowledged);
                     assert_eq!(contents.landmarks, place(seed).landmarks);
+                    assert_eq!(contents.info.sessions[0].id, place(seed).info.sessions[0].id);
+                    assert!(contents.audit_sessions().is_empty());
                     intact += usize::from(seed == 1);
                 }
                 Err(error) => {

@@ -12,4 +12,5 @@ mod hostile;
 #[cfg(unix)]
 mod interrupted;
 mod segments;
+mod sessions;
 mod store;

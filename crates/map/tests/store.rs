@@ -231,9 +231,9 @@ fn a_newer_schema_is_refused_with_both_numbers() {
     let manifest = path.join("manifest.json");
     let text = std::fs::read_to_string(&manifest).unwrap();
     let written = format!("\"schema\": {}", map::STORE_SCHEMA);
-    std::fs::write(&manifest, text.replace(&written, "\"schema\": 9, \"unknown\": 1")).unwrap();
+    std::fs::write(&manifest, text.replace(&written, "\"schema\": 10, \"unknown\": 1")).unwrap();
     let error = store::load_map(&path).unwrap_err();
-    assert!(matches!(error, StoreError::Schema { found: 9, expected: map::STORE_SCHEMA, .. }), "{error}");
+    assert!(matches!(error, StoreError::Schema { found: 10, expected: map::STORE_SCHEMA, .. }), "{error}");
     assert!(matches!(store::save_map(&path, &small_place(9), true), Err(StoreError::Schema { .. })));
 }
 

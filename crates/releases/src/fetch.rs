@@ -10,7 +10,7 @@ use crate::release::Release;
 use crate::store::ReleaseStore;
 use bytes::Bytes;
 use map::file::{Segment, SegmentError, SegmentName};
-use map::{KeyframeAliases, KeyframeCrossCovariance, MapContents};
+use map::{KeyframeAliases, KeyframeCrossCovariance, MapContents, MapMetadata};
 use protocol::KeyframeId;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -45,7 +45,7 @@ pub async fn fetch(
 pub struct Cell {
     /// The cell's keyframes, ascending.
     pub own: Vec<KeyframeId>,
-    /// Its keyframes and those of its border, with the landmarks that its own keyframes observe.
+    /// Its keyframes and those of its border, with the landmarks that its own keyframes observe, and the sessions of these keyframes.
     pub contents: MapContents,
     /// Cross-covariances of these keyframes with those of other cells.
     pub far_cross_covariances: Vec<KeyframeCrossCovariance>,
@@ -75,7 +75,9 @@ pub async fn fetch_cell(
     let inside = cell_contents(store, &released.segment, cache).await?;
     let border = cell_contents(store, &serving.border, cache).await?;
     let own = inside.keyframes.iter().map(|keyframe| keyframe.id).collect();
-    let mut contents = join(release.map.clone(), [inside, border]);
+    // A server has many cells in memory, and the ledger of a city is long.
+    let mut contents = join(MapMetadata { sessions: Vec::new(), ..release.map.clone() }, [inside, border]);
+    contents.take_sessions_of(&release.map);
     let known: BTreeSet<KeyframeId> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let is_near = |cross: &KeyframeCrossCovariance| known.contains(&cross.a) && known.contains(&cross.b);
     let (near, far_cross_covariances) = contents.cross_covariances.into_iter().partition(is_near);

@@ -134,6 +134,7 @@ pub async fn publish(
         Stage::Live => None,
         Stage::Candidate => Some(store.candidate_numbers().await?.last().map_or(1, |last| last + 1)),
     };
+    let sessions = contents.sessions_to_store();
     let release = Release {
         schema: RELEASE_SCHEMA,
         stage: options.stage,
@@ -144,7 +145,7 @@ pub async fn publish(
         published_unix_s: now_unix_s(),
         rolled_back_to: None,
         change,
-        map: MapMetadata { version, identity: Some(identity), ..contents.info.clone() },
+        map: MapMetadata { version, identity: Some(identity), sessions, ..contents.info.clone() },
         digest,
         partition,
         cells,

@@ -6,12 +6,13 @@ use crate::partition::{CellId, Partition};
 use crate::stage::{Note, Stage};
 use map::MapMetadata;
 use map::file::SegmentName;
+use map::sessions::SessionDifference;
 use protocol::MapIdentity;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Layout of releases. One with another number is refused.
-pub const RELEASE_SCHEMA: u16 = 7;
+pub const RELEASE_SCHEMA: u16 = 8;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,6 +93,8 @@ pub struct ReleaseDifference {
     pub unchanged: usize,
     /// Bytes of the cells' own segments that a copy of the first lacks for the second.
     pub bytes: u64,
+    /// Sessions that the maps were made of.
+    pub sessions: SessionDifference,
 }
 
 impl ReleasedCell {
@@ -139,7 +142,8 @@ impl Release {
             release.cells.iter().map(|cell| (cell.cell, cell.segment.clone())).collect()
         };
         let (before, after) = (segments(self), segments(later));
-        let mut difference = ReleaseDifference::default();
+        let sessions = SessionDifference::between(&self.map.sessions, &later.map.sessions);
+        let mut difference = ReleaseDifference { sessions, ..ReleaseDifference::default() };
         for (cell, segment) in &after {
             match before.get(cell) {
                 Some(former) if former == segment => difference.unchanged += 1,

@@ -185,5 +185,5 @@ async fn a_release_of_another_schema_is_refused_with_both_numbers() {
     value["unknown"] = 1.into();
     std::fs::write(&path, value.to_string()).unwrap();
     let error = store.newest().await.unwrap_err().to_string();
-    assert!(error.contains("schema 3") && error.contains("reads 7"), "{error}");
+    assert!(error.contains("schema 3") && error.contains("reads 8"), "{error}");
 }

@@ -9,8 +9,8 @@ use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
 const UPDATE: &str = "UPDATE";
 
 #[tokio::test]
-async fn a_release_of_schema_7_is_read() {
-    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/release_7");
+async fn a_release_of_schema_8_is_read() {
+    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/release_8");
     let store = ReleaseStore::open(kept.to_str().unwrap()).unwrap();
     if std::env::var_os(UPDATE).is_some() {
         let _ = std::fs::remove_dir_all(&kept);
@@ -18,14 +18,16 @@ async fn a_release_of_schema_7_is_read() {
             Place::new(&PlaceOptions { keyframes: 4, landmarks: 12, ..PlaceOptions::default() }).map;
         add_common_errors(&mut map, 2);
         add_aliases(&mut map);
+        map.ensure_sessions("drive_1");
         let mut options = PublishOptions::default();
         options.keyframes_a_cell = 2;
         publish(&store, map, &options, |_| {}).await.unwrap();
     }
     let release = store.newest().await.unwrap().unwrap();
-    assert_eq!((release.schema, release.number, release.cells.len(), release.keyframes()), (7, 1, 2, 4));
+    assert_eq!((release.schema, release.number, release.cells.len(), release.keyframes()), (8, 1, 2, 4));
     let map = fetch(&store, &release, None).await.unwrap();
     map.validate().unwrap();
+    assert!(map.info.sessions.len() == 1 && map.audit_sessions().is_empty());
     assert_eq!((map.keyframes.len(), map.common_errors.len(), map.aliases.len()), (4, 4, 4));
     assert_eq!((map.digest(), map.info), (release.digest, release.map.clone()));
     assert_eq!(fetch_coarse(&store, &release, None).await.unwrap().len(), 2);

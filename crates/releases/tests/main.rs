@@ -8,3 +8,4 @@ mod formats;
 #[cfg(unix)]
 mod interrupted;
 mod releases;
+mod sessions;

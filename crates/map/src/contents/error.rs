@@ -4,6 +4,8 @@ use geometry::covariance_check::CovarianceError;
 use geometry::{CameraError, MAX_COORDINATE_M};
 use protocol::{KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
 
+use crate::sessions::LedgerProblem;
+
 /// An invariant that a map violates.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -86,6 +88,9 @@ pub enum MetadataProblem {
         /// Its length.
         norm: f64,
     },
+    /// The ledger of sessions contradicts itself or the map.
+    #[error("ledger of sessions: {0}")]
+    Sessions(Box<LedgerProblem>),
 }
 
 /// What can be wrong with a [`crate::Keyframe`].

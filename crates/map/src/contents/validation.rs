@@ -16,6 +16,7 @@ use crate::model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
     Observation,
 };
+use crate::sessions::check_ledger;
 
 /// How far the norm of a quaternion or of the gravity direction may be from 1: a map is computed in `f64`, and text
 /// maps are normalized on reading.
@@ -28,12 +29,16 @@ impl MapContents {
     /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
     /// keyframe, what its common error leaves of it, and of each pair with a cross-covariance) are symmetric and positive
-    /// semi-definite, each landmark is observed by its anchor, and aliases are of other keyframes and have finite log-odds.
+    /// semi-definite, each landmark is observed by its anchor, aliases are of other keyframes and have finite log-odds, and every keyframe has
+    /// one session, unless the map has no ledger of its sessions.
     ///
     /// # Errors
     /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances, aliases.
     pub fn validate(&self) -> Result<(), ContentsError> {
         check_metadata(&self.info)?;
+        check_ledger(&self.info, &self.keyframes).map_err(|problem| ContentsError::Metadata {
+            problem: MetadataProblem::Sessions(Box::new(problem)),
+        })?;
         let mut keyframes = Keyframes::new();
         for keyframe in &self.keyframes {
             let first = keyframes.insert(keyframe.id, keyframe).is_none();

@@ -8,7 +8,7 @@ use super::segment::{SegmentName, sha256};
 use crate::model::MapMetadata;
 
 /// Layout of a map on disk. Maps with another number are refused.
-pub const STORE_SCHEMA: u16 = 8;
+pub const STORE_SCHEMA: u16 = 9;
 
 /// What a folder states of its map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -112,7 +112,8 @@ fn write_version(
     let digest = writer.finish()?;
     sync_folder(map)?;
     let identity = identity.unwrap_or(digest);
-    let info = MapMetadata { version, identity: Some(identity), ..contents.info.clone() };
+    let sessions = contents.sessions_to_store();
+    let info = MapMetadata { version, identity: Some(identity), sessions, ..contents.info.clone() };
     let manifest = Manifest { map: info, digest, frame, landmarks };
     let file = map.join(MANIFEST);
     let written = manifest.encode().map_err(Into::into).and_then(|text| files::write_whole(&file, &text));

@@ -16,6 +16,7 @@
 //! | `cross_covariances.csv` | two keyframes, 6x6 block `E[e_a e_bᵀ]` by rows, without what `common_errors.csv` says |
 //! | `common_errors.csv` | keyframe, 6xN factor `U` by columns: adds `U_a U_bᵀ` to the covariance of any two keyframes |
 //! | `aliases.csv` | keyframe, and another one that its image could be taken for with its log-odds; a keyframe alone has none |
+//! | `sessions.json` | the ledger: which recordings the map was made of, as `manifest.json` of a stored map has it |
 //! | `features.csv` | keyframe, pixel, descriptor: all features of an image, also those without a landmark |
 //! | `camera_1.yaml` ... | further cameras; `keyframes.csv` then has a column with the camera's number |
 //!
@@ -39,6 +40,7 @@ mod error;
 mod features;
 mod info_yaml;
 mod read;
+mod sessions;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -62,8 +64,9 @@ mod names {
     pub(super) const COMMON_ERRORS: &str = "common_errors.csv";
     pub(super) const ALIASES: &str = "aliases.csv";
     pub(super) const FEATURES: &str = "features.csv";
+    pub(super) const SESSIONS: &str = "sessions.json";
     /// All of them.
-    pub(super) const ALL: [&str; 10] = [
+    pub(super) const ALL: [&str; 11] = [
         KEYFRAMES,
         LANDMARKS,
         OBSERVATIONS,
@@ -74,6 +77,7 @@ mod names {
         COMMON_ERRORS,
         ALIASES,
         FEATURES,
+        SESSIONS,
     ];
 
     /// The file of one of several cameras.

@@ -16,6 +16,7 @@ use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, Landmar
 use super::camera_yaml::read_camera;
 use super::error::MapFileError;
 use super::info_yaml::InfoYaml;
+use super::sessions::read_sessions;
 use super::table::{Row, Table};
 use super::{columns, names};
 
@@ -45,7 +46,8 @@ pub fn read_map(folder: &Path) -> Result<MapContents, MapFileError> {
             format!("add observations, or state descriptor_width in {}", names::INFO),
         ));
     };
-    let info = info.into_info(&info_path, width)?;
+    let mut info = info.into_info(&info_path, width)?;
+    info.sessions = read_sessions(&folder.join(names::SESSIONS))?;
     read_features(folder, info.descriptor_kind, width, &mut keyframes)?;
     let mut contents = MapContents {
         info,

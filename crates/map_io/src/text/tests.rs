@@ -92,6 +92,11 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
             contents.common_errors.push(CommonError { keyframe, factor });
         }
     }
+    if rich {
+        contents.ensure_sessions("a \"recording\", odd: name");
+        contents.info.sessions[0].robot = Some("ada".to_owned());
+        contents.info.sessions[0].added_unix_s = Some(seed);
+    }
     contents.sort();
     contents.validate().unwrap();
     contents

@@ -13,6 +13,7 @@ use nalgebra::Matrix6;
 use super::camera_yaml::camera_text;
 use super::error::MapFileError;
 use super::info_yaml::info_text;
+use super::sessions::sessions_text;
 use super::table::{hexadecimal, shortest_single};
 use super::{columns, names};
 
@@ -66,6 +67,7 @@ fn texts(contents: &MapContents) -> Vec<(String, String)> {
         (names::COMMON_ERRORS, common_errors_text(contents)),
         (names::ALIASES, aliases_text(contents)),
         (names::FEATURES, features_text(contents)),
+        (names::SESSIONS, sessions_text(&contents.info.sessions)),
     ];
     files.extend(optional.into_iter().filter_map(|(name, text)| Some((name.to_owned(), text?))));
     files
