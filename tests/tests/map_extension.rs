@@ -7,7 +7,7 @@ use estimator::Localization;
 use map::contents::MapContents;
 use map::store::{load_map, save_map};
 use mapping::run_odometry;
-use mapping::{BuildOptions, ExtendError, ExtensionReport, extend_map};
+use mapping::{BuildOptions, ExtendError, ExtensionReport, check_new_recording, extend_map};
 use onboard::run_robot;
 use protocol::keys;
 use recognition::LoadedMap;
@@ -134,8 +134,22 @@ fn what_stays_keeps_its_id_and_what_does_not_belong_is_refused() {
     }
     assert!(seen_again > 100 && report.landmarks_seen_again > 50, "{report:?}");
 
+    assert!(extended.audit_sessions().is_empty());
+    let ledger = &extended.info.sessions;
+    assert_eq!((ledger.len(), ledger[1].keyframes as usize), (2, report.new_keyframes));
+    assert_eq!(ledger[1].seen_again as usize, seen_again);
+    parts[1].root = "another/name".into();
     let twice = extend(&extended, &mut parts[1]).unwrap_err();
+    assert!(matches!(&twice, ExtendError::SessionInMap(_)), "{twice}");
+    assert!(twice.to_string().contains("\"name\" is the recording of session"), "{twice}");
+    let mut without_ledger = extended.clone();
+    without_ledger.info.sessions.clear();
+    let twice = extend(&without_ledger, &mut parts[1]).unwrap_err();
     assert!(matches!(twice, ExtendError::AlreadyInMap { keyframe, .. } if keyframe > last), "{twice}");
+    let mut piece = parts[1].clone();
+    piece.frames.drain(..piece.frames.len() / 2);
+    let piece = check_new_recording(&extended.info, &piece, &BuildOptions::default()).unwrap_err();
+    assert!(piece.to_string().contains("has readings of the IMU of session"), "{piece}");
     let mut elsewhere = sessions(5, 1, 1.6).0.remove(0);
     let day_ns = 86_400_000_000_000;
     elsewhere.frames.iter_mut().for_each(|frame| frame.stamp_ns += day_ns);

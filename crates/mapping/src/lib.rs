@@ -64,6 +64,7 @@ mod reference_poses;
 mod refinement;
 mod report;
 mod selected_keyframes;
+mod session;
 mod stereo_matching;
 mod stereo_registration;
 mod still_views;
@@ -93,5 +94,6 @@ pub use recorded_odometry::{
 };
 pub use report::{BuildReport, Spread, UntrackedImages};
 pub use selected_keyframes::{SelectedKeyframes, select_during};
+pub use session::check_new_recording;
 pub use stereo_registration::register_stereo_images;
 pub use without_references::build_map_from_odometry;

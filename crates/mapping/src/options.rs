@@ -20,6 +20,8 @@ pub struct BuildOptions {
     pub name: String,
     /// The program and input that the map is built with, for display.
     pub created_by: String,
+    /// The robot that made the recording, where known: for the ledger of sessions.
+    pub robot: Option<String>,
     /// Direction in which gravity points in G (unit vector), where known; else, with reference poses, the recording's IMU tells it.
     pub gravity_in_global: Option<Vector3<f64>>,
     /// Only frames from this time on, seconds from the first frame.
@@ -72,6 +74,7 @@ impl Default for BuildOptions {
         Self {
             name: "map".to_owned(),
             created_by: "driftless build-map".to_owned(),
+            robot: None,
             gravity_in_global: None,
             from_s: 0.0,
             until_s: f64::INFINITY,

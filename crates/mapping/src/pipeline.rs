@@ -22,6 +22,7 @@ use super::readings::buffered;
 use super::reference_gravity::gravity_of;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::BuildReport;
+use super::session::{enter, session_of};
 use super::still_views::make_still;
 use super::tracks;
 use super::triangulation::{Scene, triangulate};
@@ -81,6 +82,8 @@ pub fn build_map(
         .transpose()?;
     let mut contents =
         assemble::map_contents(&rig, &views, &bundle, joint.as_ref(), report.sigma_px, options)?;
+    enter(&mut contents.info, session_of(sequence, options), &contents.keyframes);
+    contents.count_sessions();
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();

@@ -16,6 +16,7 @@ use estimator::propagation::ImuState;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use map::model::{GAUGE_SIGMA_P, GAUGE_SIGMA_YAW};
+use map::sessions::Session;
 use nalgebra::{Matrix6, Vector3};
 use sensors::Sequence;
 
@@ -37,6 +38,7 @@ use super::progress::Progress;
 use super::readings::{buffered, inertial_chain};
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::{BuildReport, UntrackedImages};
+use super::session::{enter, session_of};
 use super::still_views::make_still;
 
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
@@ -85,6 +87,7 @@ pub fn build_map_from_odometry(
         builder.use_priors(priors, aligned);
     }
     let (bundle, constraints) = builder.build()?;
+    let session = builder.session();
     let Builder { rig, options, views, mut report, progress, .. } = builder;
     let keyframes = keyframes(&views);
     let stated = (&keyframes[..], image_count(&views));
@@ -94,6 +97,8 @@ pub fn build_map_from_odometry(
     let mut contents =
         assemble::map_contents(&rig, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     contents.info.own_frame = constraints.own_frame.is_some();
+    enter(&mut contents.info, session, &contents.keyframes);
+    contents.count_sessions();
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &rig.cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
@@ -304,6 +309,11 @@ impl<'a, 'p> Builder<'a, 'p> {
             own_frame: self.known.is_empty().then(|| -Vector3::z()),
             ..Constraints::default()
         }
+    }
+
+    /// What is used of the recording, without its keyframes.
+    pub(super) fn session(&self) -> Session {
+        session_of(self.sequence, &self.options)
     }
 
     /// The readings of the IMU between the views.

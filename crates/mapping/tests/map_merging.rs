@@ -25,6 +25,7 @@ fn errors_are_as_stated(seeds: std::ops::RangeInclusive<u64>) -> [f64; 2] {
             [first, second] = [first, second].map(|map| with_common_errors(&map));
         }
         let (merged, report) = merge(&first, &second).unwrap();
+        assert_eq!((merged.info.sessions.len(), merged.audit_sessions()), (2, Vec::new()));
         let (of_both, freedom_of_both, after_m) = nees(&whole, &merged, &first);
         println!(
             "seed {seed}: NEES {:.2}, {before_m:.4} m -> {:.2}, {after_m:.4} m; {report:?}",
@@ -66,9 +67,16 @@ fn maps_that_cannot_be_merged_are_refused_in_words() {
     let (mut parts, _) = sessions(1, 2, 1.2);
     let first = build(&mut parts[0]);
     let said = merge(&first, &first).unwrap_err().to_string();
-    assert!(said.contains("one recording"), "{said}");
-    let timeless = |map: &MapContents| {
+    assert!(said.contains("one recording") && said.contains("of session"), "{said}");
+    let without_ledger = |map: &MapContents| {
         let mut map = map.clone();
+        map.info.sessions.clear();
+        map
+    };
+    let said = merge(&without_ledger(&first), &first).unwrap_err().to_string();
+    assert!(said.contains("as one of the first"), "{said}");
+    let timeless = |map: &MapContents| {
+        let mut map = without_ledger(map);
         map.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns = 0);
         map
     };

@@ -109,6 +109,7 @@ pub fn import_colmap(
     }
     scene.add_keyframes(&mut contents, &joint);
     contents.sort();
+    contents.ensure_sessions(name);
     contents.validate()?;
     find_aliases(&mut contents, progress)?;
     report.keyframes = contents.keyframes.len();

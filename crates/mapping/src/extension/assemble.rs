@@ -12,6 +12,7 @@ use super::error::ExtendError;
 use super::report::ExtensionReport;
 use crate::assemble::{map_contents, map_observation, stated_keyframes};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
+use crate::session::{enter, last_keyframe};
 use crate::without_references::Builder;
 
 /// The map of both: what was stored with its ids, moved, and what is new with ids beyond them.
@@ -32,7 +33,12 @@ pub(super) fn extended(
     let mut recording =
         map_contents(&builder.rig, &builder.views, &of_recording, Some(&own), sigma_px, &builder.options)?;
 
-    let mut contents = stored.clone();
+    let mut contents = MapContents {
+        keyframes: stored.keyframes.clone(),
+        landmarks: stored.landmarks.clone(),
+        ..MapContents::empty(stored.info.clone())
+    };
+    contents.ensure_sessions(&stored.info.name);
     contents.info.sigma_px = stored.info.sigma_px.max(sigma_px);
     for (at, keyframe) in contents.keyframes.iter_mut().enumerate() {
         let view = views + at;
@@ -41,6 +47,7 @@ pub(super) fn extended(
     for keyframe in &mut recording.keyframes {
         keyframe.id += ids.last_keyframe;
     }
+    enter(&mut contents.info, builder.session(), &recording.keyframes);
     contents.keyframes.append(&mut recording.keyframes);
     for landmark in &mut recording.landmarks {
         landmark.id += ids.last_landmark;
@@ -57,6 +64,7 @@ pub(super) fn extended(
             None => StatedKeyframe::alone(ids.stored[view - views]),
         });
     contents.sort();
+    contents.count_sessions();
     contents.validate()?;
     Ok(contents)
 }
@@ -72,7 +80,7 @@ impl Ids {
     fn after(stored: &MapContents) -> Ids {
         let keyframes: Vec<KeyframeId> = stored.keyframes.iter().map(|keyframe| keyframe.id).collect();
         Ids {
-            last_keyframe: keyframes.iter().copied().max().unwrap_or_default(),
+            last_keyframe: last_keyframe(stored),
             last_landmark: stored.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default(),
             stored: keyframes,
         }

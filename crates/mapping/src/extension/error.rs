@@ -1,6 +1,7 @@
 //! Why a map cannot be extended.
 
 use map::contents::ContentsError;
+use map::sessions::SessionOverlap;
 use protocol::KeyframeId;
 
 use crate::error::BuildError;
@@ -25,6 +26,12 @@ pub enum ExtendError {
         /// Direction of gravity in G, where the map states one.
         gravity: Option<[f64; 3]>,
     },
+    /// The map has the recording, or a piece of it.
+    #[error(
+        "the recording is in the map already: {0}. Extend the map by another recording, or by the part of this one that the map \
+         lacks: --from and --until"
+    )]
+    SessionInMap(#[from] SessionOverlap),
     /// The recording is part of the map.
     #[error(
         "keyframe {keyframe} of the map was taken at {stamp_ns} ns, when the recording has an image too: is it in the map already? \

@@ -33,6 +33,7 @@ use crate::options::BuildOptions;
 use crate::places::{Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, covariance_of};
+use crate::session::check_new_recording;
 use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;
 use crate::tied_keyframes::{MOST_TIED, choose_places};
@@ -66,6 +67,7 @@ pub fn extend_map(
 ) -> Result<(MapContents, ExtensionReport), ExtendError> {
     let start = Instant::now();
     check_vertical(stored)?;
+    check_new_recording(&stored.info, sequence, options)?;
     let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
     check_new(stored, &builder)?;
     let (session, _) = builder.build()?;
@@ -137,7 +139,7 @@ fn check_vertical(stored: &MapContents) -> Result<(), ExtendError> {
     Err(ExtendError::Vertical { gravity: gravity.map(Into::into) })
 }
 
-/// Checks that no keyframe of the map is an image of the recording.
+/// Checks that no keyframe of the map is an image of the recording, for what the ledger does not say.
 fn check_new(stored: &MapContents, builder: &Builder<'_, '_>) -> Result<(), ExtendError> {
     let stamps: BTreeSet<i64> = builder.views.iter().map(|view| view.stamp_ns).collect();
     match stored.keyframes.iter().find(|keyframe| stamps.contains(&keyframe.stamp_ns)) {

@@ -7,11 +7,13 @@ use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
 use map::model::Keyframe;
+use map::sessions::Session;
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use super::{MergeError, MergeReport};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
+use crate::session::last_keyframe;
 
 /// The map of both: the first one with its ids, moved, and the second one with ids beyond them.
 ///
@@ -24,9 +26,14 @@ pub(super) fn merged(
     ties: &[LandmarkTie],
     joint: &JointCovariance,
 ) -> Result<MapContents, MergeError> {
-    let last_keyframe = first.keyframes.iter().map(|keyframe| keyframe.id).max().unwrap_or_default();
-    let last_landmark = first.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default();
-    let mut contents = first.clone();
+    let of_sessions = second.info.sessions.iter().map(|session| session.keyframe_ids[0]);
+    let of_keyframes = second.keyframes.iter().map(|keyframe| keyframe.id);
+    let last_keyframe = last_keyframe(first) + shift(of_sessions.chain(of_keyframes));
+    let last_landmark = first.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default()
+        + shift(second.landmarks.iter().map(|landmark| landmark.id));
+    let mut contents =
+        MapContents { landmarks: first.landmarks.clone(), ..MapContents::empty(first.info.clone()) };
+    contents.info.sessions = sessions(first, second, last_keyframe);
     contents.info.sigma_px = first.info.sigma_px.max(second.info.sigma_px);
     let new = second
         .keyframes
@@ -42,8 +49,24 @@ pub(super) fn merged(
     add_landmarks(&mut contents, second, poses, ties, last_keyframe, last_landmark);
     contents.keyframes = keyframes;
     contents.sort();
+    contents.count_sessions();
     contents.validate()?;
     Ok(contents)
+}
+
+/// 1 where ids begin with 0, as those of an imported map may, so that none of them becomes the last one of the first map.
+fn shift(mut ids: impl Iterator<Item = u64>) -> u64 {
+    u64::from(ids.any(|id| id == 0))
+}
+
+/// The ledger of both: that of the first map, then that of the second one, whose keyframes have other ids now.
+fn sessions(first: &MapContents, second: &MapContents, last_keyframe: KeyframeId) -> Vec<Session> {
+    let [mut sessions, of_second] = [first, second].map(|map| map.sessions_or_one(&map.info.name));
+    sessions.extend(of_second.into_iter().map(|session| {
+        let keyframe_ids = session.keyframe_ids.map(|id| id + last_keyframe);
+        Session { keyframe_ids, ..session }
+    }));
+    sessions
 }
 
 /// Adds the landmarks of the second map: to those of the first one that they are, or as new ones.

@@ -1,6 +1,7 @@
 //! Why two maps cannot be merged.
 
 use map::contents::ContentsError;
+use map::sessions::SessionOverlap;
 use protocol::KeyframeId;
 
 use crate::error::BuildError;
@@ -37,6 +38,12 @@ pub enum MergeError {
         /// That of the second map.
         second: String,
     },
+    /// Both maps have a session, or pieces of one.
+    #[error(
+        "both maps are made of one recording, or extended from one map: of the second map, {0}. Build one of them without this \
+         recording, or extend the other one by the recordings that it lacks"
+    )]
+    SharedSession(#[from] SessionOverlap),
     /// Both maps are made of the same recording.
     #[error(
         "keyframe {keyframe} of the second map was taken at {stamp_ns} ns, as one of the first: are both made of one recording, or \

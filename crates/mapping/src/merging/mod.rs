@@ -177,6 +177,9 @@ fn check(first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
         };
         return Err(MergeError::Extractors { first: name(one), second: name(other) });
     }
+    for session in &second.info.sessions {
+        first.info.check_new_session(session)?;
+    }
     check_images(first, second)
 }
 
