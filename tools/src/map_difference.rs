@@ -1,6 +1,7 @@
 //! How the difference of two maps is printed.
 
 use map::difference::{ElementCounts, MapDifference};
+use map::sessions::SessionDifference;
 
 /// So many places are printed; JSON has all of them.
 const MAX_PLACES: usize = 20;
@@ -30,4 +31,13 @@ fn print_counts(name: &str, counts: &ElementCounts) {
         .motion
         .map_or_else(String::new, |motion| format!("   {:.3}, {:.3}", motion.median_m, motion.largest_m));
     println!("{name:<30} {:>8} {:>8} {:>8}{motion}", counts.added, counts.removed, counts.moved);
+}
+
+/// Prints which sessions came and went, a line each.
+pub fn print_sessions(indent: &str, difference: &SessionDifference) {
+    for (what, sessions) in [("new", &difference.added), ("gone", &difference.removed)] {
+        for session in sessions {
+            println!("{indent}session {what:<5} {session}");
+        }
+    }
 }

@@ -24,6 +24,8 @@ mod gnss;
 mod imu_model;
 #[cfg(unix)]
 mod kills;
+#[cfg(all(unix, feature = "releases"))]
+mod ledger;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod links;
 #[cfg(unix)]

@@ -20,8 +20,9 @@ use crate::stage_bar::StageBar;
 use map::contents::MapContents;
 use map::store::{MapTarget, load_map};
 use mapping::{
-    BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
-    build_map, build_map_from_odometry, extend_map, register_stereo_images, select_during,
+    BuildOptions, BuildReport, ExtendError, ExtensionReport, Extraction, Odometry, Progress, Stage,
+    StoredPoses, build_map, build_map_from_odometry, check_new_recording, extend_map, register_stereo_images,
+    select_during,
 };
 use mapping::{is_sparse, odometry_config, run_odometry, run_watched};
 
@@ -124,6 +125,9 @@ pub struct Args {
     /// Extend the existing map by this recording of the same place; the result is its next version
     #[arg(long, conflicts_with_all = ["force", "poses", "position_priors", "pose_priors", "sigma_theta", "sigma_p", "gravity", "no_refine_poses"])]
     pub extend: bool,
+    /// Name of the robot that made the recording, for the ledger of the map's sessions
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
@@ -203,6 +207,10 @@ pub(crate) fn build(
         check_stereo(&sequence.cameras, || Ok(sequence.frames.iter().cloned().map(Ok)))?;
     }
     let mut options = options(args)?;
+    if let Some(stored) = stored {
+        // Odometry would take minutes to get to the same.
+        check_new_recording(&stored.info, &sequence, &options).map_err(ExtendError::from)?;
+    }
     let references = if args.extend { None } else { references(args, &sequence)? };
     let priors = args.priors.read(args.sigma_theta, args.sigma_p)?;
     let start = Instant::now();
@@ -332,6 +340,7 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     let mut options = BuildOptions::default();
     options.name = name;
     options.created_by = format!("driftless build-map {}", args.recording.display());
+    options.robot.clone_from(&args.robot);
     options.gravity_in_global = args.gravity;
     options.from_s = from_s;
     options.until_s = until_s;

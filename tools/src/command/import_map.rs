@@ -12,7 +12,8 @@ use map_io::text::read_map;
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  driftless import-map place_as_text --map place.db --sigma-pixel 3\n\n\
-                        DIR holds keyframes.csv, landmarks.csv, observations.csv and camera.yaml.")]
+                        DIR holds keyframes.csv, landmarks.csv, observations.csv and camera.yaml. The ledger of sessions is sessions.json;\n\
+                        without it all keyframes are one session with the name of DIR.")]
 pub struct Args {
     /// Folder of the plain-text map
     #[arg(value_name = "DIR")]
@@ -51,6 +52,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         }
         contents.info.sigma_px = sigma;
     }
+    contents.ensure_sessions(&args.folder.file_name().unwrap_or_default().to_string_lossy());
     let saved = target.save(&contents)?;
     let observations = contents.observation_count();
     if args.json {

@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use anyhow::bail;
 use geometry::PoseWithCovariance;
 use indicatif::ProgressBar;
 use map::contents::MapContents;
+use map::sessions::{NamedSession, Session, utc_time};
 use map::store;
 use nalgebra::Vector3;
 use protocol::MapIdentity;
@@ -19,7 +21,8 @@ use mapping::Spread;
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  driftless map-info --map yq.db\n  driftless map-info --map s3://bucket/city@candidate\n\n\
+    after_help = "Examples:\n  driftless map-info --map yq.db\n  driftless map-info --map s3://bucket/city@candidate\n  \
+                        driftless map-info --map yq.db --audit\n\n\
                         The sigmas are standard deviations of the keyframes' poses per axis, as build-map prints them.\n\
                         The identity is the same for all versions of a map, and different for different maps."
 )]
@@ -31,6 +34,10 @@ pub struct Args {
     /// compared with the rest of the map first
     #[arg(long)]
     pub aliases: bool,
+    /// Check the ledger of sessions: each keyframe has one session, the counts are those of the map, and no two sessions have the same
+    /// readings. Fails where it is not true
+    #[arg(long)]
+    pub audit: bool,
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
@@ -61,6 +68,11 @@ struct Summary {
     descriptor_bytes: u16,
     sigma_px: f64,
     gravity_in_global: Option<[f64; 3]>,
+    /// The ledger: which recordings the map was made of.
+    sessions: Vec<Session>,
+    /// With `--audit`: what is wrong with the ledger.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ledger_problems: Option<Vec<String>>,
     /// Corners of the box around all keyframes (m).
     extent_min_m: Option<[f64; 3]>,
     extent_max_m: Option<[f64; 3]>,
@@ -79,10 +91,14 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// A database that is missing, unfinished or damaged, a release that cannot be read.
+/// A database that is missing, unfinished or damaged, a release that cannot be read; with `--audit`, a ledger that is not true.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let stored = read_map(&args.map)?;
     let mut summary = summary(args.map, &stored);
+    if args.audit {
+        let problems = stored.contents.audit_sessions();
+        summary.ledger_problems = Some(problems.iter().map(ToString::to_string).collect());
+    }
     if args.aliases {
         let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
         summary.aliasing = Some(MapAliases::of(stored.contents, &bar)?);
@@ -91,6 +107,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
         print_summary(&summary);
+    }
+    if let [first, others @ ..] = &summary.ledger_problems.unwrap_or_default()[..] {
+        let others = if others.is_empty() { String::new() } else { format!(" (and {} more)", others.len()) };
+        bail!(
+            "the ledger of sessions is not true: {first}{others}. Go back to a version of the map whose ledger is true, or build the map \
+             again from its recordings"
+        );
     }
     Ok(())
 }
@@ -130,6 +153,8 @@ fn summary(map: PathBuf, stored: &NamedMap) -> Summary {
         descriptor_bytes: contents.info.descriptor_width,
         sigma_px: contents.info.sigma_px,
         gravity_in_global: contents.info.gravity_in_global.map(Into::into),
+        sessions: contents.info.sessions.clone(),
+        ledger_problems: None,
         extent_min_m: corner(f64::min),
         extent_max_m: corner(f64::max),
         duration_s: duration_ns as f64 * 1e-9,
@@ -187,7 +212,34 @@ fn print_summary(summary: &Summary) {
     println!("descriptors              {}, {} bytes", summary.descriptor_kind, summary.descriptor_bytes);
     println!("pixel sigma, px          {}", summary.sigma_px);
     println!("gravity points to        {}", vector(summary.gravity_in_global, "unknown"));
+    print_sessions(summary);
     if let Some(aliasing) = &summary.aliasing {
         aliasing.print();
+    }
+}
+
+fn print_sessions(summary: &Summary) {
+    match summary.sessions.len() {
+        0 => println!("sessions                 not known"),
+        count => println!("sessions                 {count}"),
+    }
+    for session in &summary.sessions {
+        let begin = utc_time((session.begin_ns / 1_000_000_000).max(0) as u64);
+        let seconds = session.end_ns.saturating_sub(session.begin_ns) as f64 * 1e-9;
+        let added = session.added_unix_s.map_or_else(|| "never".to_owned(), utc_time);
+        println!("  {}", NamedSession::from(session));
+        println!(
+            "    {} observations, {} of them of other sessions' landmarks; added {added} by {}",
+            session.observations, session.seen_again, session.added_by
+        );
+        println!(
+            "    {seconds:.1} s from {begin}, {} images, {} readings of the IMU",
+            session.images, session.readings
+        );
+    }
+    match summary.ledger_problems.as_deref() {
+        None => {}
+        Some([]) => println!("  audit                  the ledger is true"),
+        Some(problems) => problems.iter().for_each(|problem| println!("  audit                  {problem}")),
     }
 }

@@ -1,8 +1,9 @@
 //! `driftless list-releases`, `diff-releases`, `rollback`, `clean-releases`, `release-key`.
 
 use super::publish_map::{NoteArgs, SigningArgs, megabytes, print_outcome};
-use crate::map_difference::print_difference;
+use crate::map_difference::{print_difference, print_sessions};
 use anyhow::ensure;
+use map::sessions::{SessionDifference, utc_time};
 use releases::{
     CandidateState, CellId, CleanOptions, Note, Release, ReleaseChoice, ReleaseError, ReleaseStore,
     SigningKey, candidate_state,
@@ -10,7 +11,6 @@ use releases::{
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Duration;
-use time::OffsetDateTime;
 
 /// Arguments of `list-releases`.
 #[derive(Clone, Debug, clap::Args)]
@@ -117,10 +117,14 @@ pub fn list(args: &ListArgs) -> anyhow::Result<()> {
     if all.is_empty() {
         println!("{} has no releases", args.url);
     }
-    for Listed { title, release } in all {
+    for Listed { title, sessions, release } in all {
         match release {
             Ok((release, state)) => {
                 print_release(&title, &release, state.as_ref());
+                if let Some((since, change)) = sessions {
+                    println!("{:>12}  {} sessions, since {since}:", "", release.map.sessions.len());
+                    print_sessions("              ", &change);
+                }
                 if args.cells {
                     print_cells(&release);
                 }
@@ -134,15 +138,25 @@ pub fn list(args: &ListArgs) -> anyhow::Result<()> {
 /// A release or a candidate in the list.
 struct Listed {
     title: String,
+    /// What sessions it has that the release before it has not, of which it has the title, and the reverse.
+    sessions: Option<(String, SessionDifference)>,
     /// With the state of a candidate.
     release: Result<(Release, Option<CandidateState>), ReleaseError>,
 }
 
 impl Listed {
     fn as_json(&self) -> serde_json::Value {
+        let sessions =
+            self.sessions.as_ref().map(|(since, change)| json!({"since": since, "change": change}));
         match &self.release {
-            Ok((release, None)) => json!(release),
-            Ok((release, Some(state))) => json!({"candidate": release, "decision": state}),
+            Ok((release, None)) => {
+                let mut value = json!(release);
+                value["sessions"] = json!(sessions);
+                value
+            }
+            Ok((release, Some(state))) => {
+                json!({"candidate": release, "decision": state, "sessions": sessions})
+            }
             Err(error) => json!({"title": self.title, "error": error.to_string()}),
         }
     }
@@ -154,8 +168,10 @@ async fn listed(store: ReleaseStore) -> Result<Vec<Listed>, ReleaseError> {
     let mut newest = None;
     for number in store.numbers().await? {
         let release = store.release(number).await;
+        let sessions = release.as_ref().ok().and_then(|release| sessions_since(newest.as_ref(), release));
         newest = release.as_ref().ok().cloned();
-        all.push(Listed { title: number.to_string(), release: release.map(|release| (release, None)) });
+        let release = release.map(|release| (release, None));
+        all.push(Listed { title: number.to_string(), sessions, release });
     }
     for number in store.candidate_numbers().await? {
         let with_state = async {
@@ -164,9 +180,19 @@ async fn listed(store: ReleaseStore) -> Result<Vec<Listed>, ReleaseError> {
             Ok((candidate, Some(state)))
         };
         let title = ReleaseChoice::Candidate(number).to_string();
-        all.push(Listed { title, release: with_state.await });
+        let release = with_state.await;
+        let sessions =
+            release.as_ref().ok().and_then(|(release, _)| sessions_since(newest.as_ref(), release));
+        all.push(Listed { title, sessions, release });
     }
     Ok(all)
+}
+
+/// What sessions came and went since an earlier release, with its title; `None` without one, and where they are the same.
+fn sessions_since(before: Option<&Release>, release: &Release) -> Option<(String, SessionDifference)> {
+    let before = before?;
+    let change = SessionDifference::between(&before.map.sessions, &release.map.sessions);
+    Some((before.title(), change)).filter(|(_, change)| !change.is_empty())
 }
 
 fn print_release(title: &str, release: &Release, state: Option<&CandidateState>) {
@@ -239,6 +265,7 @@ pub fn diff(args: &DiffArgs) -> anyhow::Result<()> {
     }
     println!("{} to {}", from.title(), to.title());
     print_difference(&map);
+    print_sessions("", &cells.sessions);
     println!("{} cells unchanged, {} to fetch", cells.unchanged, megabytes(cells.bytes));
     for (what, cells) in [("changed", &cells.changed), ("added", &cells.added), ("removed", &cells.removed)] {
         if !cells.is_empty() {
@@ -308,13 +335,4 @@ pub(crate) fn in_store<T>(
     let store = ReleaseStore::open(url)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     Ok(runtime.block_on(work(store))?)
-}
-
-/// A time for a person, in UTC.
-fn utc_time(unix_s: u64) -> String {
-    let known =
-        i64::try_from(unix_s).ok().and_then(|seconds| OffsetDateTime::from_unix_timestamp(seconds).ok());
-    let Some(time) = known else { return format!("{unix_s} s") };
-    let (year, month, day) = (time.year(), u8::from(time.month()), time.day());
-    format!("{year}-{month:02}-{day:02} {:02}:{:02}:{:02} UTC", time.hour(), time.minute(), time.second())
 }
