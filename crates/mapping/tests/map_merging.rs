@@ -63,6 +63,33 @@ fn errors_of_twenty_merged_maps_are_as_stated() {
 }
 
 #[test]
+fn a_map_whose_ids_begin_with_zero_gets_others() {
+    let (mut parts, _) = sessions(3, 2, 1.2);
+    let [first, mut second] = [0, 1].map(|at| build(&mut parts[at]));
+    assert_eq!((second.keyframes[0].id, second.info.sessions[0].keyframe_ids[0]), (1, 1));
+    second.aliases.clear();
+    second.info.sessions[0].keyframe_ids = second.info.sessions[0].keyframe_ids.map(|id| id - 1);
+    second.keyframes.iter_mut().for_each(|keyframe| keyframe.id -= 1);
+    second.common_errors.iter_mut().for_each(|common| common.keyframe -= 1);
+    for cross in &mut second.cross_covariances {
+        (cross.a, cross.b) = (cross.a - 1, cross.b - 1);
+    }
+    let smallest = second.landmarks.iter().map(|landmark| landmark.id).min().unwrap();
+    for landmark in &mut second.landmarks {
+        (landmark.id, landmark.anchor) = (landmark.id - smallest, landmark.anchor - 1);
+        landmark.observations.iter_mut().for_each(|observation| observation.keyframe -= 1);
+    }
+    second.validate().unwrap();
+    let (merged, report) = merge(&first, &second).unwrap();
+    assert_eq!(merged.keyframes.len(), first.keyframes.len() + second.keyframes.len());
+    assert_eq!(
+        merged.landmarks.len() + report.common_landmarks,
+        first.landmarks.len() + second.landmarks.len()
+    );
+    assert_eq!((merged.info.sessions.len(), merged.audit_sessions()), (2, Vec::new()));
+}
+
+#[test]
 fn maps_that_cannot_be_merged_are_refused_in_words() {
     let (mut parts, _) = sessions(1, 2, 1.2);
     let first = build(&mut parts[0]);
