@@ -28,6 +28,10 @@ fn renamed(mut map: MapContents) -> MapContents {
     const BY: u64 = 10_000;
     map.info.version += 1;
     map.keyframes.iter_mut().for_each(|keyframe| keyframe.id += BY);
+    map.info
+        .sessions
+        .iter_mut()
+        .for_each(|session| session.keyframe_ids = session.keyframe_ids.map(|id| id + BY));
     for landmark in &mut map.landmarks {
         landmark.anchor += BY;
         landmark.observations.iter_mut().for_each(|seen| seen.keyframe += BY);
