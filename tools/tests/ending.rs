@@ -28,16 +28,17 @@ fn terminate(mut running: Child, line: &str) {
 fn commands_that_take_long_end_at_a_signal_and_change_nothing() {
     let scratch = in_town();
     let (hall, before) = (scratch.path("hall.db"), crate::scratch::ids(&town().path("hall.db")));
-    for line in [
-        "build-map town/live --map hall.db --force --sigma-pixel 1 --gravity 0,0,-1",
-        "build-map town/live --map hall.db --extend",
-        "merge-maps hall.db second.db --map hall.db --force",
-        "run town/live --map whole.db --out out --realtime",
-        "simulate --images --out room",
-        "montecarlo --runs 1000",
+    // Milliseconds after which the signal is sent: maps so small are merged in less than 100.
+    for (line, after_ms) in [
+        ("build-map town/live --map hall.db --force --sigma-pixel 1 --gravity 0,0,-1", 100),
+        ("build-map town/live --map hall.db --extend", 100),
+        ("merge-maps hall.db second.db --map hall.db --force", 15),
+        ("run town/live --map whole.db --out out --realtime", 100),
+        ("simulate --images --out room", 100),
+        ("montecarlo --runs 1000", 100),
     ] {
         let running = scratch.start(line);
-        std::thread::sleep(Duration::from_millis(100));
+        std::thread::sleep(Duration::from_millis(after_ms));
         terminate(running, line);
         assert_eq!(crate::scratch::ids(&hall), before, "{line}");
     }
