@@ -69,7 +69,7 @@ test:
     set -euo pipefail
     threads="${RUST_TEST_THREADS:-$((2 * {{ num_cpus() }}))}"
     if cargo nextest --version > /dev/null 2>&1; then
-        cargo nextest run --workspace --locked --no-fail-fast --test-threads "$((2 * threads))"
+        cargo nextest run --workspace --locked --no-fail-fast --test-threads "$((5 * threads / 2))"
         cargo test --workspace --locked --doc
     else
         RUST_TEST_THREADS="$threads" cargo test --workspace --locked
