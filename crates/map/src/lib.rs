@@ -19,6 +19,7 @@ pub mod contents;
 pub mod difference;
 pub mod edit;
 pub mod file;
+mod hexadecimal;
 pub mod model;
 pub mod sessions;
 pub mod store;

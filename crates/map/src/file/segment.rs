@@ -8,13 +8,12 @@
 //! ```
 //! Equal contents have equal bytes, whatever program and machine wrote them.
 
-use std::fmt::Write as _;
-
 use protocol::LandmarkId;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::record::{self, Element, RecordError, Table, key_bytes};
+use crate::hexadecimal;
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
 
 const MAGIC: &[u8] = b"driftless segment 4\n";
@@ -103,11 +102,7 @@ impl SegmentName {
 
 /// SHA-256 in hexadecimal digits.
 pub fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::with_capacity(64), |mut text, byte| {
-        // Writing to a string does not fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    hexadecimal::encode(Sha256::digest(bytes))
 }
 
 /// Makes a segment, element by element, those of one kind in the order of their keys.

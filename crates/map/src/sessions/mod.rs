@@ -16,7 +16,6 @@
 mod audit;
 mod counting;
 mod difference;
-mod hexadecimal;
 mod overlap;
 mod recorded;
 mod session;

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use sha2::{Digest as _, Sha256};
 
-use super::hexadecimal;
 use super::session::SessionId;
+use crate::hexadecimal;
 
 /// One reading of so many is sampled, chosen by its digest: about six a second at 200 Hz.
 const READINGS_A_SAMPLE: u64 = 32;

@@ -6,8 +6,8 @@ use std::ops::RangeInclusive;
 use protocol::KeyframeId;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::hexadecimal;
 use super::recorded::{ReadingSamples, Recorded};
+use crate::hexadecimal;
 
 /// Most bytes of a session's name, of its robot and of the program that added it.
 pub const MAX_TEXT_BYTES: usize = 256;
