@@ -2,13 +2,11 @@
 
 use map::MapContents;
 use map_io::occupancy::OccupancyGrid;
-use nalgebra::Vector3;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::geometry_msgs::Pose;
 use ros_messages::nav_msgs::{self, MapMetaData};
 use ros_messages::sensor_msgs::PointCloud2;
 use ros_messages::std_msgs::Header;
-use std::collections::BTreeMap;
 use std::time::SystemTime;
 
 /// Most points of a cloud: sessions drop messages above 16 MiB.
@@ -16,18 +14,10 @@ pub const MAX_POINTS: usize = 1_000_000;
 
 /// The landmarks of a map in its frame, metres; of more than [`MAX_POINTS`] every second, third, and so on.
 pub fn points_message(map: &MapContents, frame: &str) -> PointCloud2 {
-    let poses: BTreeMap<u64, _> =
-        map.keyframes.iter().map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose)).collect();
     let step = map.landmarks.len().div_ceil(MAX_POINTS).max(1);
-    let points: Vec<[f32; 3]> = map
-        .landmarks
-        .iter()
-        .step_by(step)
-        .filter_map(|landmark| {
-            let position: Vector3<f64> = poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor);
-            Some(position.map(|value| value as f32).into())
-        })
-        .collect();
+    let positions = map.landmarks_in_global().step_by(step);
+    let points: Vec<[f32; 3]> =
+        positions.map(|(_, position)| position.map(|value| value as f32).into()).collect();
     PointCloud2::of_points(header(frame), &points)
 }
 

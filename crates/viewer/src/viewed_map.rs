@@ -206,14 +206,7 @@ impl ViewedMap {
 
     /// A map that is in memory.
     pub fn of_contents(name: &str, contents: &MapContents) -> Self {
-        let poses: BTreeMap<KeyframeId, _> = contents
-            .keyframes
-            .iter()
-            .map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose))
-            .collect();
-        let landmarks = contents.landmarks.iter().filter_map(|landmark| {
-            Some(poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor))
-        });
+        let landmarks = contents.landmarks_in_global().map(|(_, position)| position);
         let aliases = aliases_of(&contents.aliases);
         let places = |keyframe: &Keyframe| aliases.get(&keyframe.id).copied().unwrap_or_default();
         let keyframes = contents.keyframes.iter().map(|keyframe| (keyframe, places(keyframe)));

@@ -6,8 +6,10 @@ mod observation_counts;
 mod sorted;
 mod validation;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use geometry::Pose;
+use nalgebra::Vector3;
 use protocol::KeyframeId;
 
 pub(crate) use digest::RunningDigest;
@@ -62,6 +64,18 @@ impl MapContents {
             common_errors: Vec::new(),
             aliases: Vec::new(),
         }
+    }
+
+    /// The landmarks with their positions in G (m); without those whose anchor is missing, which no valid map has.
+    pub fn landmarks_in_global(&self) -> impl Iterator<Item = (&Landmark, Vector3<f64>)> {
+        let poses: BTreeMap<KeyframeId, &Pose> = self
+            .keyframes
+            .iter()
+            .map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose))
+            .collect();
+        self.landmarks.iter().filter_map(move |landmark| {
+            Some((landmark, poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor)))
+        })
     }
 
     /// Sorts everything by id, the observations of a landmark by keyframe, and cross-covariances to `a < b`.

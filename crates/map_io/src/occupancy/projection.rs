@@ -122,12 +122,8 @@ fn look(
     [low, high]: [f64; 2],
     max_range_m: f64,
 ) -> (Seen, Vec<Vector3<f64>>) {
-    let poses: BTreeMap<u64, _> =
-        map.keyframes.iter().map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose)).collect();
     let (mut seen, mut positions) = (Seen::default(), Vec::new());
-    for landmark in &map.landmarks {
-        let Some(anchor) = poses.get(&landmark.anchor) else { continue };
-        let position = anchor.transform(&landmark.position_in_anchor);
+    for (landmark, position) in map.landmarks_in_global() {
         positions.push(position);
         let is_between = position.z >= low && position.z <= high;
         let mut is_near = false;
