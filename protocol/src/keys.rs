@@ -187,6 +187,16 @@ pub fn keyframe_of(key: &str) -> Option<KeyframeId> {
     if parent.ends_with("/keyframes") && digits_only { id.parse().ok() } else { None }
 }
 
+/// The name of the robot in a key of a robot; `None` where there is none that is valid.
+///
+/// ```
+/// assert_eq!(protocol::keys::robot_of("robot/ada/pose"), Some("ada"));
+/// assert_eq!(protocol::keys::robot_of("robot"), None);
+/// ```
+pub fn robot_of(key: &str) -> Option<&str> {
+    key.split('/').nth(1).filter(|name| validate_name(name).is_ok())
+}
+
 /// `map/{map}/changes`: [`crate::MapChangeNotice`].
 ///
 /// # Errors

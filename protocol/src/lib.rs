@@ -10,7 +10,8 @@
 //! | [`localize`] | an image in, its global pose out, for clients without an estimator |
 //! | [`map`] | reading a map remotely, and notices of its changes |
 //! | [`cells`] | what servers of a map's cells answer to each other |
-//! | [`robot`] | what a robot publishes |
+//! | [`robot`], [`published`] | what a robot publishes |
+//! | [`presence`] | whether a robot is there |
 //! | [`sensors`] | what drivers send to a robot |
 //! | [`features`] | pixels and descriptors of one image |
 //! | [`error_reply`] | why a query was not answered |
@@ -67,6 +68,8 @@ pub mod localize;
 pub mod map;
 pub mod matching;
 mod messages;
+pub mod presence;
+pub mod published;
 pub mod robot;
 pub mod sensors;
 pub mod validate;
@@ -88,5 +91,7 @@ pub use matching::{
     CrossCovarianceBlock, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchOutcome, MatchReply,
     MatchRequest, MatchStatus, MatchedKeyframe, PosePrior,
 };
+pub use presence::Presence;
+pub use published::Published;
 pub use robot::{RobotOdometry, RobotPose, RobotState, RobotStatus};
 pub use validate::{InvalidField, Validate};

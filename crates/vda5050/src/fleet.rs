@@ -1,8 +1,8 @@
 //! The robots of a fleet, as they publish on Zenoh.
 
 use crate::bridge::BridgeError;
-use crate::vehicle::{Published, Vehicle, VehicleSettings};
-use protocol::{CodecError, Format, Message, keys};
+use crate::vehicle::{Vehicle, VehicleSettings};
+use protocol::{Published, keys};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -46,9 +46,9 @@ impl Fleet {
     /// Follows all robots of the session's namespace.
     pub(crate) async fn follow(self: &Arc<Self>, session: &Session) -> Result<Following, BridgeError> {
         let mut subscribers = Vec::new();
-        for topic in ["pose", "odometry", "status"] {
+        for topic in Published::TOPICS {
             let fleet = Arc::clone(self);
-            let callback = move |sample: Sample| fleet.note_sample(topic, &sample);
+            let callback = move |sample: Sample| fleet.note_sample(&sample);
             let declared = session.declare_subscriber(format!("robot/*/{topic}")).callback(callback).await;
             subscribers.push(declared.map_err(BridgeError::Zenoh)?);
         }
@@ -60,8 +60,7 @@ impl Fleet {
     }
 
     fn with_vehicle(&self, sample: &Sample, change: impl FnOnce(&mut Vehicle, Instant)) {
-        let robot = sample.key_expr().as_str().split('/').nth(1);
-        let Some(robot) = robot.filter(|name| keys::validate_name(name).is_ok()) else { return };
+        let Some(robot) = keys::robot_of(sample.key_expr().as_str()) else { return };
         let mut vehicles = lock(&self.vehicles);
         if vehicles.len() >= MAX_ROBOTS && !vehicles.contains_key(robot) {
             return;
@@ -71,18 +70,14 @@ impl Fleet {
         change(&mut lock(vehicles.entry(robot.to_owned()).or_insert_with(new)), now);
     }
 
-    fn note_sample(&self, topic: &str, sample: &Sample) {
+    fn note_sample(&self, sample: &Sample) {
         if sample.kind() != SampleKind::Put {
             return;
         }
-        let published = match topic {
-            "pose" => decode(sample).map(|pose| Published::Pose(Box::new(pose))),
-            "odometry" => decode(sample).map(|odometry| Published::Odometry(Box::new(odometry))),
-            _ => decode(sample).map(Published::Status),
-        };
-        match published {
+        let key = sample.key_expr().as_str();
+        match Published::decode(key, &sample.encoding().to_string(), &sample.payload().to_bytes()) {
             Ok(published) => self.with_vehicle(sample, |vehicle, now| vehicle.note(published, now)),
-            Err(error) => tracing::debug!(key = sample.key_expr().as_str(), "not read: {error}"),
+            Err(error) => tracing::debug!(key, "not read: {error}"),
         }
     }
 
@@ -90,10 +85,4 @@ impl Fleet {
         let is_there = sample.kind() == SampleKind::Put;
         self.with_vehicle(sample, |vehicle, now| vehicle.note_token(is_there, now));
     }
-}
-
-fn decode<M: Message>(sample: &Sample) -> Result<M, CodecError> {
-    let encoding = sample.encoding().to_string();
-    let format = Format::from_encoding(&encoding).ok_or(CodecError::UnknownFormat(encoding))?;
-    protocol::decode(format, &sample.payload().to_bytes())
 }

@@ -46,9 +46,10 @@ pub use bridge::{BridgeError, BridgeEvent, BridgeSettings, run};
 pub use broker::{BrokerAddress, BrokerAddressError, BrokerUser};
 pub use messages::{AgvPosition, Connection, ConnectionState, Header, Velocity, Visualization};
 pub use names::{NameError, Topics};
+pub use protocol::Published;
 pub use quality::{deviation_range_m, localization_score};
 pub use timestamp::iso_8601;
-pub use vehicle::{Published, Vehicle, VehicleSettings};
+pub use vehicle::{Vehicle, VehicleSettings};
 
 /// The examples of the README run as tests.
 #[cfg(doctest)]

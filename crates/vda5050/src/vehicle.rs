@@ -4,23 +4,8 @@ use crate::messages::{AgvPosition, Velocity};
 use crate::quality::{deviation_range_m, localization_score};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::Vector3;
-use protocol::{RobotOdometry, RobotPose, RobotState, RobotStatus};
+use protocol::{Presence, Published, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use std::time::{Duration, Instant};
-
-/// A robot that publishes nothing for so long is gone: it publishes its status at least once a second.
-const SILENCE: Duration = Duration::from_secs(5);
-
-/// What a robot published.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub enum Published {
-    /// Its pose in the map.
-    Pose(Box<RobotPose>),
-    /// Its odometry.
-    Odometry(Box<RobotOdometry>),
-    /// Its state.
-    Status(RobotStatus),
-}
 
 /// How a vehicle is described.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,9 +49,7 @@ pub struct Vehicle {
     is_pose_valid: bool,
     odometry: Option<Received<RobotOdometry>>,
     status: Option<RobotStatus>,
-    heard: Instant,
-    /// When its liveliness token went.
-    gone: Option<Instant>,
+    presence: Presence,
 }
 
 impl Vehicle {
@@ -78,8 +61,7 @@ impl Vehicle {
             is_pose_valid: false,
             odometry: None,
             status: None,
-            heard: now,
-            gone: None,
+            presence: Presence::new(now),
         }
     }
 
@@ -88,16 +70,13 @@ impl Vehicle {
     /// # Arguments
     /// * `now`: when it came.
     pub fn note(&mut self, published: Published, now: Instant) {
-        // What was on its way when the token went is no sign of life; who goes on publishing is there.
-        if self.gone.is_none_or(|gone| now.duration_since(gone) > SILENCE) {
-            (self.heard, self.gone) = (now, None);
-        }
+        self.presence.note_message(now);
         match published {
             Published::Pose(pose) => {
                 let is_repeated = self.pose.as_ref().is_some_and(|last| last.value.stamp_ns == pose.stamp_ns);
                 if !is_repeated {
                     self.pose = Some(Received { value: *pose, at: now });
-                    self.is_pose_valid = self.gone.is_none();
+                    self.is_pose_valid = !self.presence.has_ended();
                 }
             }
             Published::Odometry(odometry) => {
@@ -115,17 +94,13 @@ impl Vehicle {
 
     /// Notes that the robot's liveliness token came or went.
     pub fn note_token(&mut self, is_there: bool, now: Instant) {
-        if is_there {
-            (self.heard, self.gone) = (now, None);
-        } else {
-            self.gone = Some(now);
-            self.is_pose_valid = false;
-        }
+        self.presence.note_token(is_there, now);
+        self.is_pose_valid &= is_there;
     }
 
     /// Whether the robot is there: it has a token, and published something in the last 5 s.
     pub fn is_online(&self, now: Instant) -> bool {
-        self.gone.is_none() && now.duration_since(self.heard) <= SILENCE
+        self.presence.is_online(now)
     }
 
     /// Where the vehicle is in its map.

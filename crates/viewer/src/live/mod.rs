@@ -3,7 +3,6 @@
 //! Of each robot the latest of everything is kept. Twenty times a second what changed is written once, and given to all
 //! viewers; one that is too slow for that skips, and gets the latest of everything when it has caught up.
 
-mod presence;
 mod robot;
 mod socket;
 mod subscribe;
@@ -17,7 +16,8 @@ use crate::queries::{KeptQuery, QueryLog, ViewedQuery};
 use crate::server::Viewer;
 use crate::statistics::{ServerSample, StatisticsLog, TimedSample};
 use axum::extract::ws::Utf8Bytes;
-use robot::{Published, ViewedRobot};
+use protocol::Published;
+use robot::ViewedRobot;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -1,11 +1,10 @@
 //! The latest of what a robot published.
 
-use super::presence::Presence;
 use crate::history::{History, Observed, SampledPose, ShownState};
 use crate::queries::{ViewedQuery, ViewedResult};
 use crate::viewed_map::{position_covariance, rotation_wxyz};
 use geometry::PoseWithCovariance;
-use protocol::{KeyframeId, MatchOutcome, RobotOdometry, RobotPose, RobotState, RobotStatus};
+use protocol::{KeyframeId, MatchOutcome, Presence, Published, RobotState};
 use serde::Serialize;
 use std::time::Instant;
 
@@ -16,13 +15,6 @@ struct Answer {
     map: String,
     /// The keyframes that matched; none for an image that was not recognized.
     keyframes: Vec<KeyframeId>,
-}
-
-/// A message of a robot.
-pub(super) enum Published {
-    Pose(Box<RobotPose>),
-    Odometry(Box<RobotOdometry>),
-    Status(RobotStatus),
 }
 
 /// A pose as the page draws it.

@@ -1,9 +1,8 @@
 //! What robots publish on Zenoh.
 
-use super::robot::Published;
 use crate::error::ViewerError;
 use crate::server::Viewer;
-use protocol::{CodecError, Format, Message, keys};
+use protocol::{Published, keys};
 use std::sync::Arc;
 use zenoh::Session;
 use zenoh::pubsub::Subscriber;
@@ -20,9 +19,9 @@ pub struct RobotFollower {
 /// [`ViewerError::Zenoh`], as of a closed session.
 pub async fn follow_robots(viewer: &Arc<Viewer>, session: &Session) -> Result<RobotFollower, ViewerError> {
     let mut subscribers = Vec::new();
-    for topic in ["pose", "odometry", "status"] {
+    for topic in Published::TOPICS {
         let viewer = Arc::clone(viewer);
-        let callback = move |sample: Sample| note_sample(&viewer, topic, &sample);
+        let callback = move |sample: Sample| note_sample(&viewer, &sample);
         let declared = session.declare_subscriber(format!("robot/*/{topic}")).callback(callback).await;
         subscribers.push(declared.map_err(ViewerError::Zenoh)?);
     }
@@ -35,35 +34,21 @@ pub async fn follow_robots(viewer: &Arc<Viewer>, session: &Session) -> Result<Ro
     Ok(RobotFollower { _subscribers: subscribers })
 }
 
-fn note_sample(viewer: &Viewer, topic: &str, sample: &Sample) {
+fn note_sample(viewer: &Viewer, sample: &Sample) {
     let key = sample.key_expr().as_str();
-    let Some(robot) = key.split('/').nth(1).filter(|name| keys::validate_name(name).is_ok()) else { return };
-    if sample.kind() != SampleKind::Put {
-        return;
-    }
-    let published = match topic {
-        "pose" => decode(sample).map(|pose| Published::Pose(Box::new(pose))),
-        "odometry" => decode(sample).map(|odometry| Published::Odometry(Box::new(odometry))),
-        _ => decode(sample).map(Published::Status),
-    };
-    match published {
+    let Some(robot) = keys::robot_of(key).filter(|_| sample.kind() == SampleKind::Put) else { return };
+    match Published::decode(key, &sample.encoding().to_string(), &sample.payload().to_bytes()) {
         Ok(published) => viewer.live.note_published(robot, published),
         Err(error) => tracing::debug!(key, "not shown: {error}"),
     }
 }
 
-fn decode<M: Message>(sample: &Sample) -> Result<M, CodecError> {
-    let encoding = sample.encoding().to_string();
-    let format = Format::from_encoding(&encoding).ok_or(CodecError::UnknownFormat(encoding))?;
-    protocol::decode(format, &sample.payload().to_bytes())
-}
-
 /// A robot, or one of its sessions, is there or gone.
 fn note_token(viewer: &Viewer, sample: &Sample) {
     let is_there = sample.kind() == SampleKind::Put;
-    let mut chunks = sample.key_expr().as_str().split('/').skip(1);
-    let Some(robot) = chunks.next().filter(|name| keys::validate_name(name).is_ok()) else { return };
-    match chunks.nth(1) {
+    let key = sample.key_expr().as_str();
+    let Some(robot) = keys::robot_of(key) else { return };
+    match key.split('/').nth(3) {
         Some(session) => viewer.live.note_session(session, robot, is_there),
         None => viewer.live.note_online(robot, is_there),
     }

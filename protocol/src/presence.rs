@@ -3,11 +3,19 @@
 use std::time::{Duration, Instant};
 
 /// A robot that publishes nothing for so long is not there: it publishes its status at least once a second.
-pub(super) const SILENCE: Duration = Duration::from_secs(5);
+const SILENCE: Duration = Duration::from_secs(5);
 
-/// What is known of a robot's presence.
+/// What is known of a robot's presence. Times are those at which things came, since the clocks of sensors are their own.
+///
+/// ```
+/// use std::time::{Duration, Instant};
+///
+/// let now = Instant::now();
+/// let robot = protocol::Presence::new(now);
+/// assert!(robot.is_online(now) && !robot.is_online(now + Duration::from_secs(6)));
+/// ```
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Presence {
+pub struct Presence {
     /// Last sign of life: a message or the begin of a liveliness token.
     heard: Instant,
     /// Since when its liveliness token is gone.
@@ -16,19 +24,19 @@ pub(super) struct Presence {
 
 impl Presence {
     /// A robot that was heard of for the first time.
-    pub(super) fn new(now: Instant) -> Self {
+    pub fn new(now: Instant) -> Self {
         Self { heard: now, gone: None }
     }
 
     /// It published something. What was on its way when the token went is no sign of life; who goes on publishing is there.
-    pub(super) fn note_message(&mut self, now: Instant) {
+    pub fn note_message(&mut self, now: Instant) {
         if self.gone.is_none_or(|gone| now.duration_since(gone) > SILENCE) {
             (self.heard, self.gone) = (now, None);
         }
     }
 
-    /// Its liveliness token came or went.
-    pub(super) fn note_token(&mut self, is_there: bool, now: Instant) {
+    /// Its [liveliness token](crate::keys::robot) came or went.
+    pub fn note_token(&mut self, is_there: bool, now: Instant) {
         if is_there {
             (self.heard, self.gone) = (now, None);
         } else {
@@ -37,17 +45,17 @@ impl Presence {
     }
 
     /// Whether its liveliness token went: its session ended.
-    pub(super) fn has_ended(&self) -> bool {
+    pub fn has_ended(&self) -> bool {
         self.gone.is_some()
     }
 
     /// Seconds since the last sign of life.
-    pub(super) fn heard_age_s(&self, now: Instant) -> f64 {
+    pub fn heard_age_s(&self, now: Instant) -> f64 {
         now.duration_since(self.heard).as_secs_f64()
     }
 
     /// Whether it is there.
-    pub(super) fn is_online(&self, now: Instant) -> bool {
+    pub fn is_online(&self, now: Instant) -> bool {
         self.gone.is_none() && now.duration_since(self.heard) <= SILENCE
     }
 }
