@@ -11,5 +11,7 @@ mod load;
 mod page_image;
 #[cfg(unix)]
 mod program;
+#[cfg(unix)]
+mod program_releases;
 mod serve;
 mod state;

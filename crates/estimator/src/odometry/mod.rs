@@ -7,5 +7,6 @@ pub mod msckf_update;
 pub mod pixel_measurement;
 pub mod second_order;
 pub mod slam_update;
+mod track_triangulation;
 pub mod tracks;
 pub mod zero_velocity;

@@ -7,7 +7,7 @@
 //! Jacobians at other estimates than those of the propagation would make a tilt observable that is not: a robot that drives
 //! straight from rest cannot tell it from an accelerometer bias.
 
-use crate::calibration::{CalibratedCamera, Projection};
+use crate::calibration::Projection;
 use crate::covariance::JointCovariance;
 use crate::gate::Gate;
 use crate::measurement::Information;
@@ -16,13 +16,12 @@ use crate::odometry::delayed_initialization::DelayedInitialization;
 use crate::odometry::feature_measurement::FeatureMeasurement;
 use crate::odometry::pixel_measurement::{Layout, linearize_pixel};
 use crate::odometry::second_order::second_order_px;
+use crate::odometry::track_triangulation::{
+    MIN_CLONES, distant_point, has_accurate_depth, triangulate_robustly,
+};
 use crate::odometry::tracks::{CloneObservation, Track};
-use crate::rolling_shutter::row_pose::{Estimates, RowPose};
 use crate::state::{ActiveState, Block, CloneId};
-use geometry::triangulation::{TriangulationOptions, View, triangulate};
-use geometry::{Camera, Pose, Triangulated};
-use nalgebra::{DVector, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
-use smallvec::SmallVec;
+use nalgebra::{DVector, Matrix2x3, Matrix2x6, Vector2, Vector3};
 
 /// Result of the odometry update of one image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -68,9 +67,6 @@ pub struct MsckfSettings {
     pub max_tracks: usize,
 }
 
-/// Minimum number of clones of a track: two always fit some point well.
-const MIN_CLONES: usize = 3;
-
 /// Angular velocity for which the pixel error of an uncertain time offset is allowed, rad/s.
 const MAX_ANGULAR_VELOCITY: f64 = 1.0;
 
@@ -79,15 +75,6 @@ const MAX_ANGULAR_VELOCITY: f64 = 1.0;
 /// without it the NEES of a monocular pose is 2.3 in the street, with it 1.25; with five times as much, 0.5 for the position
 /// in the room.
 const NONLINEAR_FRACTION: f64 = 0.02;
-
-/// Distance without visible parallax, metres.
-const DISTANT_M: f64 = 1000.0;
-/// Standard deviation of it, metres.
-const SIGMA_DISTANT_M: f64 = 300.0;
-
-/// Maximum standard deviation of the depth of a new SLAM feature, as a fraction of the depth: up to 10 % its position in L
-/// is well approximated by a normal distribution.
-const MAX_INITIAL_DEPTH_SIGMA: f64 = 0.1;
 
 /// A SLAM feature to be initialized.
 #[derive(Clone, Debug)]
@@ -117,9 +104,6 @@ pub struct MsckfUpdate {
     /// Observations of a track without outliers.
     observations: Vec<CloneObservation>,
 }
-
-type Views = SmallVec<[View; 48]>;
-type CamerasOfViews<'a> = SmallVec<[&'a Camera; 48]>;
 
 impl MsckfUpdate {
     /// Linearizes and sums up `tracks`.
@@ -152,8 +136,14 @@ impl MsckfUpdate {
                 report.left_out += 1;
                 continue;
             }
-            let triangulated =
-                triangulate_robustly(state, track, &mut observations, sigma_px, largest_error, &mut report);
+            let triangulated = triangulate_robustly(
+                state,
+                track,
+                &mut observations,
+                sigma_px,
+                largest_error,
+                &mut report.dropped_observations,
+            );
             let mut landmark = triangulated.as_ref().map(|found| found.position);
             self.feature.prior = None;
             if landmark.is_none()
@@ -270,108 +260,13 @@ fn calibration_error_px(state: &ActiveState, covariance: &JointCovariance) -> f6
     3.0 * (of_camera + of_clock + of_readout).sqrt()
 }
 
-/// Triangulates in L; drops the worst observation as long as it is an outlier and enough are left.
-///
-/// # Arguments
-/// * `observations`: become those that are left.
-fn triangulate_robustly(
-    state: &ActiveState,
-    track: &Track,
-    observations: &mut Vec<CloneObservation>,
-    sigma_px: f64,
-    largest_error: f64,
-    report: &mut TrackReport,
-) -> Option<Triangulated> {
-    let cameras = &state.calibration.cameras;
-    let max_dropped = track.observations.len() / 4;
-    observations.clear();
-    observations.extend(track.observations.iter().copied().filter(|observation| {
-        state.clone_index(observation.clone).is_some() && usize::from(observation.camera) < cameras.len()
-    }));
-    for dropped in 0..=max_dropped {
-        if observations.len() < MIN_CLONES {
-            return None;
-        }
-        let mut view_cameras = CamerasOfViews::new();
-        let mut views = Views::new();
-        for observation in observations.iter() {
-            let calibrated: &CalibratedCamera = &cameras[usize::from(observation.camera)];
-            view_cameras.push(&calibrated.camera);
-            views.push(View {
-                parent_from_camera: local_from_imu(state, observation)? * calibrated.imu_from_camera,
-                pixel: observation.pixel,
-                sigma_px,
-            });
-        }
-        let found = triangulate(&view_cameras, &views, &TriangulationOptions::default()).ok()?;
-        let mut worst = (0, 0.0);
-        for (index, (camera, view)) in view_cameras.iter().zip(&views).enumerate() {
-            let point = view.parent_from_camera.inverse_transform(&found.position);
-            let error = camera.project(&point).map_or(f64::INFINITY, |pixel| (pixel - view.pixel).norm());
-            if error > worst.1 {
-                worst = (index, error);
-            }
-        }
-        if worst.1 <= largest_error {
-            return Some(found);
-        }
-        if dropped < max_dropped {
-            observations.remove(worst.0);
-            report.dropped_observations += 1;
-        }
-    }
-    None
-}
-
-/// The newest estimate of the IMU's pose when a pixel was taken.
-fn local_from_imu(state: &ActiveState, observation: &CloneObservation) -> Option<Pose> {
-    let clone = state.clone_index(observation.clone)?;
-    let camera = usize::from(observation.camera);
-    Some(RowPose::of(state, clone, camera, &observation.pixel, Estimates::Newest).local_from_imu)
-}
-
-/// Whether the depth of a landmark observed by the newest clone is accurate enough for a SLAM feature.
-fn has_accurate_depth(found: &Triangulated, state: &ActiveState, observations: &[CloneObservation]) -> bool {
-    let newest = state.clones.last();
-    newest.is_some_and(|newest| {
-        let away = found.position - newest.local_from_imu.translation;
-        let along = away.normalize();
-        let sigma = (along.dot(&(found.covariance * along))).sqrt();
-        observations.last().is_some_and(|last| last.clone == newest.id)
-            && sigma < MAX_INITIAL_DEPTH_SIGMA * away.norm()
-    })
-}
-
-/// A point so distant that its pixels depend on the rotation only.
-struct DistantPoint {
-    /// Position in L, metres.
-    position: Vector3<f64>,
-    /// Information about its error, 1/m^2. The pixels do not show its distance at all: without it, the elimination of the
-    /// landmark divides by rounding errors, and the rest is information about the tilt that nothing measured.
-    information: Matrix3<f64>,
-}
-
-/// A distant point on the first ray.
-fn distant_point(state: &ActiveState, observations: &[CloneObservation]) -> Option<DistantPoint> {
-    let first = observations.first()?;
-    let calibrated = state.calibration.cameras.get(usize::from(first.camera))?;
-    let seen = calibrated.camera.unproject(&first.pixel).ok()?;
-    let away = Vector3::new(seen.x, seen.y, 1.0) * DISTANT_M;
-    let local_from_camera = local_from_imu(state, first)? * calibrated.imu_from_camera;
-    let along = (local_from_camera.rotation * away).normalize();
-    Some(DistantPoint {
-        position: local_from_camera.transform(&away),
-        information: along * along.transpose() / (SIGMA_DISTANT_M * SIGMA_DISTANT_M),
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::linear_algebra::dense::Dense;
     use crate::state::CloneId;
     use crate::test_scene::scene;
-    use geometry::rotation;
+    use geometry::{Pose, rotation};
     use nalgebra::DMatrix;
 
     fn settings() -> MsckfSettings {
@@ -390,13 +285,13 @@ mod tests {
     #[test]
     fn an_outlying_observation_is_dropped_and_a_pixel_that_is_not_finite_affects_its_track_only() {
         let scene = scene(false);
-        let mut report = TrackReport::default();
+        let mut dropped = 0;
         let mut outlying = scene.observations.clone();
         outlying[3].pixel.x += 60.0;
         let outlying = Track { feature_id: 0, observations: outlying };
         let mut left = Vec::new();
-        let found = triangulate_robustly(&scene.state, &outlying, &mut left, 1.2, 6.0, &mut report).unwrap();
-        assert_eq!((report.dropped_observations, left.len()), (1, 7));
+        let found = triangulate_robustly(&scene.state, &outlying, &mut left, 1.2, 6.0, &mut dropped).unwrap();
+        assert_eq!((dropped, left.len()), (1, 7));
         assert!(left.iter().all(|observation| observation.clone != CloneId(3)));
         assert!((found.position - scene.landmark).norm() < 0.1);
 
