@@ -24,21 +24,32 @@ pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> (MapChang
         moved: change.moved,
         removed: change.removed,
         stated_change: change.stated_change,
+        keyframe_motions: change.keyframe_motions,
     };
     (notice, change.added.len())
 }
 
-/// Tells robots of a new version. A notice that is too long for one message tells them only that there is one.
-pub(crate) async fn publish(session: &Session, notice: MapChangeNotice) -> Result<(), ServeError> {
+/// Tells robots of a new version. A notice that is too long for one message tells them only the size of the motion of the map as a
+/// whole; one that is still too long, only that there is a new version.
+pub(crate) async fn publish(session: &Session, mut notice: MapChangeNotice) -> Result<(), ServeError> {
     let key = keys::map_changes(&notice.map)?;
-    let payload = protocol::encode(Format::Bincode, &notice).or_else(|error| match error {
-        CodecError::TooLong { .. } => {
+    let encoded = |notice: &MapChangeNotice| match protocol::encode(Format::Bincode, notice) {
+        Err(CodecError::TooLong { .. }) => Ok(None),
+        payload => payload.map(Some),
+    };
+    let mut payload = encoded(&notice)?;
+    if payload.is_none() {
+        notice.keyframe_motions.clear();
+        payload = encoded(&notice)?;
+    }
+    let payload = match payload {
+        Some(payload) => payload,
+        None => {
             let (changed, moved, removed) = (Vec::new(), Vec::new(), Vec::new());
             let short = MapChangeNotice { changed, moved, removed, stated_change: None, ..notice };
-            protocol::encode(Format::Bincode, &short)
+            protocol::encode(Format::Bincode, &short)?
         }
-        error => Err(error),
-    })?;
+    };
     let publication = session.put(key, payload).encoding(Encoding::from(Format::Bincode.encoding()));
     publication.congestion_control(CongestionControl::Block).await?;
     Ok(())

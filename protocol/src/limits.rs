@@ -19,7 +19,7 @@
 ///
 /// Messages of the schema before, from [`OLDEST_SCHEMA`] on, and of the one after are read as well: what a new schema adds is
 /// appended to the end of a message, and zero there means that it is not stated.
-pub const SCHEMA_VERSION: u16 = 8;
+pub const SCHEMA_VERSION: u16 = 9;
 
 /// The first schema that is read by the programs of the next one; those before were never released.
 pub const OLDEST_SCHEMA: u16 = 8;

@@ -140,13 +140,42 @@ pub struct MapChangeNotice {
     /// Size of the map's motion, if known.
     #[serde(default)]
     pub stated_change: Option<StatedChange>,
+    /// How far the moved keyframes moved. Of none where the map moved as a whole by `stated_change`; without that, nothing is known
+    /// of its motion.
+    #[serde(default)]
+    pub keyframe_motions: Vec<KeyframeMotion>,
 }
 
 impl Validate for MapChangeNotice {
     fn validate(&self) -> Result<(), InvalidField> {
         require_name(&self.map, "map")?;
         require(self.version > self.from_version, "version", "is not after from_version")?;
-        require_valid(self.stated_change.as_ref(), "stated_change")
+        require_valid(self.stated_change.as_ref(), "stated_change")?;
+        self.keyframe_motions.iter().try_for_each(|motion| require_valid(Some(motion), "keyframe_motions"))
+    }
+}
+
+/// How far a keyframe moved between two versions of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeyframeMotion {
+    /// The keyframe, which both versions have.
+    pub keyframe: KeyframeId,
+    /// Rotation vector `θ` in the map's frame, radians: `R = Exp(θ) R_before`.
+    pub theta_rad: [f32; 3],
+    /// Translation in the map's frame, metres: `p = p_before + t`.
+    pub translation_m: [f32; 3],
+}
+
+impl Validate for KeyframeMotion {
+    fn validate(&self) -> Result<(), InvalidField> {
+        for (numbers, field, most) in [
+            (self.theta_rad, "theta_rad", MAX_CHANGE_RAD),
+            (self.translation_m, "translation_m", MAX_CHANGE_M),
+        ] {
+            let is_within = numbers.iter().all(|number| f64::from(number.abs()) <= most);
+            require(is_within, field, &format!("has a number that is not within {most}"))?;
+        }
+        Ok(())
     }
 }
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .errors import Unreadable
 from .poses import Array, Pose, numbers
 
-SCHEMA = 8
+SCHEMA = 9
 """Version of the messages that this package writes. It reads those of the version before and after as well."""
 OLDEST_SCHEMA = 8
 """The first version that is read: those before were never released."""

@@ -146,6 +146,7 @@ impl Holder {
             version: 2,
             changed_keyframes: estimator.held_keyframes(),
             size: Some(ChangeSize { sigma_rotation_rad: 1e-3, sigma_position_m: 1e-2 }),
+            keyframe_motions: Vec::new(),
         };
         let begin = Instant::now();
         let effect = estimator.map_changed(&changed);

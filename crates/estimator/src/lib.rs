@@ -89,7 +89,7 @@ pub use initialization::static_init::InitialState;
 pub use map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::map_gravity::GravityFault;
 pub use map_update::map_report::{MapReport, Rejection};
-pub use map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect};
+pub use map_update::map_revision::{ChangeSize, KeyframeMotion, MapRevision, RevisionEffect};
 pub use map_update::map_watch::MapDrift;
 pub use motion::{Motion, MotionPredictor};
 pub use noise_adaptation::{LearnedNoise, NoiseBound, NoiseFault};

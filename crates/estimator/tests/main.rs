@@ -8,6 +8,7 @@ mod filter_laws;
 mod first_fix;
 mod gtsam;
 mod initializer;
+mod keyframe_motions;
 mod map_change;
 mod map_measurement;
 mod schmidt;

@@ -27,7 +27,8 @@ fn localized() -> (World, Estimator, i64) {
 }
 
 fn news(from_version: u64, version: u64, size: Option<ChangeSize>) -> MapRevision {
-    MapRevision { from_version, version, changed_keyframes: vec![4, 5, 8, 9], size }
+    let (changed_keyframes, keyframe_motions) = (vec![4, 5, 8, 9], Vec::new());
+    MapRevision { from_version, version, changed_keyframes, size, keyframe_motions }
 }
 
 /// The answer of a version whose frame is moved by `new_from_old`.

@@ -9,9 +9,11 @@ use crate::fetch::cell_contents;
 use crate::partition::CellId;
 use crate::release::{Release, ReleasedCell};
 use crate::store::ReleaseStore;
+use geometry::rotation;
 use map::difference::{Compared, MapDifference, VersionChange};
 use map::file::Segment;
-use protocol::{KeyframeId, StatedChange};
+use nalgebra::Vector3;
+use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,13 +31,16 @@ pub struct ReleasedChange {
     pub removed: Vec<KeyframeId>,
     /// Size of the map's motion; `None` where it is not known, so that robots keep nothing of the version before.
     pub stated_change: Option<StatedChange>,
+    /// How far the moved keyframes moved, where that is known.
+    #[serde(default)]
+    pub keyframe_motions: Vec<KeyframeMotion>,
 }
 
 impl ReleasedChange {
     /// Since the version before.
     pub(crate) fn since(from_version: u64, change: VersionChange) -> Self {
-        let VersionChange { changed, moved, removed, stated_change, .. } = change;
-        Self { from_version, changed, moved, removed, stated_change }
+        let VersionChange { changed, moved, removed, stated_change, keyframe_motions, .. } = change;
+        Self { from_version, changed, moved, removed, stated_change, keyframe_motions }
     }
 
     /// This change, and after it another.
@@ -45,6 +50,7 @@ impl ReleasedChange {
             before.iter().chain(now).copied().collect::<BTreeSet<_>>().into_iter().collect()
         };
         let both = self.stated_change.zip(later.stated_change);
+        let keyframe_motions = self.motions_with(later);
         Self {
             from_version: self.from_version,
             changed: joined(&self.changed, &later.changed),
@@ -55,7 +61,39 @@ impl ReleasedChange {
                 sigma_theta_rad: first.sigma_theta_rad + second.sigma_theta_rad,
                 sigma_p_m: first.sigma_p_m + second.sigma_p_m,
             }),
+            keyframe_motions,
         }
+    }
+
+    /// The motions of both changes, one after the other; of a keyframe that one of them removed, or moved by an unknown amount, none.
+    fn motions_with(&self, later: &Self) -> Vec<KeyframeMotion> {
+        let by_keyframe = |change: &Self| -> BTreeMap<KeyframeId, KeyframeMotion> {
+            change.keyframe_motions.iter().map(|motion| (motion.keyframe, *motion)).collect()
+        };
+        let (first, second) = (by_keyframe(self), by_keyframe(later));
+        let is_unknown = |id: &KeyframeId, change: &Self, motions: &BTreeMap<KeyframeId, KeyframeMotion>| {
+            !motions.contains_key(id) && (change.moved.contains(id) || change.removed.contains(id))
+        };
+        let ids: BTreeSet<KeyframeId> = first.keys().chain(second.keys()).copied().collect();
+        ids.into_iter()
+            .filter(|id| !is_unknown(id, self, &first) && !is_unknown(id, later, &second))
+            .filter_map(|id| match (first.get(&id), second.get(&id)) {
+                (Some(first), Some(second)) => Some(one_after_the_other(first, second)),
+                (first, second) => first.or(second).copied(),
+            })
+            .collect()
+    }
+}
+
+/// A motion of a keyframe, and after it another.
+fn one_after_the_other(first: &KeyframeMotion, second: &KeyframeMotion) -> KeyframeMotion {
+    let wide = |numbers: [f32; 3]| Vector3::from(numbers.map(f64::from));
+    let narrow = |numbers: Vector3<f64>| <[f64; 3]>::from(numbers).map(|number| number as f32);
+    let turn = rotation::exp(&wide(second.theta_rad)) * rotation::exp(&wide(first.theta_rad));
+    KeyframeMotion {
+        keyframe: first.keyframe,
+        theta_rad: narrow(rotation::log(&turn)),
+        translation_m: narrow(wide(first.translation_m) + wide(second.translation_m)),
     }
 }
 

@@ -1,7 +1,7 @@
 //! What can be wrong with an object of a store.
 
 use crate::partition::{CellId, PartitionError};
-use crate::release::RELEASE_SCHEMA;
+use crate::release::{OLDEST_RELEASE_SCHEMA, RELEASE_SCHEMA};
 use crate::stage::Stage;
 use protocol::MapIdentity;
 
@@ -13,7 +13,9 @@ pub enum Damage {
     #[error("{0}")]
     Json(#[from] serde_json::Error),
     /// A release of another layout.
-    #[error("it has schema {found}, this program reads {RELEASE_SCHEMA}: publish the map to another place")]
+    #[error(
+        "it has schema {found}, this program reads {OLDEST_RELEASE_SCHEMA} to {RELEASE_SCHEMA}: publish the map to another place"
+    )]
     Schema {
         /// Its schema, 0 for none.
         found: u64,

@@ -11,8 +11,10 @@ use protocol::MapIdentity;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Layout of releases. One with another number is refused.
-pub const RELEASE_SCHEMA: u16 = 8;
+/// Layout of releases.
+pub const RELEASE_SCHEMA: u16 = 9;
+/// The oldest layout that is read: it has no `keyframe_motions`.
+pub const OLDEST_RELEASE_SCHEMA: u16 = 8;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -191,7 +193,7 @@ impl Release {
         let value: serde_json::Value = serde_json::from_slice(text)?;
         // Another layout may have other fields.
         let found = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
-        if found != u64::from(RELEASE_SCHEMA) {
+        if !(u64::from(OLDEST_RELEASE_SCHEMA)..=u64::from(RELEASE_SCHEMA)).contains(&found) {
             return Err(Damage::Schema { found });
         }
         let release: Self = serde_json::from_value(value)?;

@@ -2,10 +2,10 @@
 
 use map::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, MapContents};
 use nalgebra::Matrix6;
-use protocol::KeyframeId;
+use protocol::{KeyframeId, KeyframeMotion};
 use releases::{
-    Cell, Note, Outcome, PublishOptions, Release, ReleaseError, ReleaseStore, fetch, fetch_cell,
-    fetch_coarse, publish, roll_back,
+    Cell, Note, Outcome, PublishOptions, Release, ReleaseError, ReleaseStore, ReleasedChange, fetch,
+    fetch_cell, fetch_coarse, publish, roll_back,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use tempfile::TempDir;
@@ -160,6 +160,17 @@ async fn a_release_says_what_changed_and_so_do_several() {
     let both = store.change_since(1, &newest).await.unwrap().unwrap();
     assert_eq!((both.from_version, &both.removed, &both.moved), (1, &vec![last], &moved));
     assert!(both.stated_change.unwrap().sigma_p_m >= size.sigma_p_m);
+    // Keyframe 4 by 0.3 m; those with other correlations not at all.
+    let distances = |change: &ReleasedChange| -> Vec<(u64, f32)> {
+        let length = |motion: &KeyframeMotion| motion.translation_m.iter().map(|m| m * m).sum::<f32>().sqrt();
+        change.keyframe_motions.iter().map(|motion| (motion.keyframe, length(motion))).collect()
+    };
+    let expected: Vec<(u64, f32)> =
+        moved.iter().map(|&id| (id, if id == second.keyframes[4].id { 0.3 } else { 0.0 })).collect();
+    for (told, expected) in std::iter::zip(distances(&both), &expected) {
+        assert!(told.0 == expected.0 && (told.1 - expected.1).abs() < 1e-6, "{told:?} {expected:?}");
+    }
+    assert_eq!(distances(&both).len(), expected.len());
     assert_eq!(store.change_since(0, &newest).await.unwrap(), None);
 
     // Back again: the same keyframes move, and the one that was removed is new.
@@ -168,6 +179,11 @@ async fn a_release_says_what_changed_and_so_do_several() {
     };
     let change = back.release.change.unwrap();
     assert_eq!((change.from_version, &change.moved, change.removed.len()), (3, &moved, 0));
+    // Forth and back.
+    let there = both.keyframe_motions.iter().find(|motion| motion.keyframe == second.keyframes[4].id);
+    let back = change.keyframe_motions.iter().find(|motion| motion.keyframe == second.keyframes[4].id);
+    let (there, back) = (there.unwrap().translation_m, back.unwrap().translation_m);
+    assert!(std::iter::zip(there, back).all(|(there, back)| (there + back).abs() < 1e-6));
     let size = change.stated_change.unwrap().sigma_p_m;
     assert!((size - (0.3_f64.powi(2) / (3.0 * 35.0)).sqrt()).abs() < 1e-6, "{size}");
 }

@@ -227,7 +227,7 @@ async fn damage_is_named_and_a_torn_upload_changes_nothing() {
     let manifest = &scratch.files("releases")[0];
     let text = std::fs::read_to_string(manifest).unwrap();
     for (from, to, says) in [
-        ("\"schema\": 8", "\"schema\": 6", "it has schema 6, this program reads 8"),
+        ("\"schema\": 9", "\"schema\": 6", "it has schema 6, this program reads 8 to 9"),
         ("\"number\": 1", "\"number\": 3", "it says that it is release 3"),
         ("\"sha256\": \"", "\"sha256\": \"../", "has the segment"),
         ("\"keyframes\"", "\"frames\"", "unknown field"),

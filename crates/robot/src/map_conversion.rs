@@ -1,7 +1,7 @@
 //! Conversion of map messages to the estimator's types.
 
-use estimator::{ChangeSize, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark};
-use nalgebra::{Matrix6xX, Vector2, Vector3};
+use estimator::{ChangeSize, KeyframeMotion, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark};
+use nalgebra::{Matrix6xX, Vector2, Vector3, Vector6};
 use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MapIdentity, MatchStatus, MatchedKeyframe};
 
 /// Assembles the replies to one query.
@@ -92,7 +92,18 @@ pub fn map_revision(notice: MapChangeNotice) -> MapRevision {
     });
     let mut changed_keyframes = notice.moved;
     changed_keyframes.extend(notice.removed);
-    MapRevision { from_version: notice.from_version, version: notice.version, changed_keyframes, size }
+    let keyframe_motions = notice.keyframe_motions.iter().map(|moved| {
+        let numbers = moved.theta_rad.into_iter().chain(moved.translation_m).map(f64::from);
+        KeyframeMotion { id: moved.keyframe, motion: Vector6::from_iterator(numbers) }
+    });
+    let keyframe_motions = keyframe_motions.collect();
+    MapRevision {
+        from_version: notice.from_version,
+        version: notice.version,
+        changed_keyframes,
+        size,
+        keyframe_motions,
+    }
 }
 
 #[cfg(test)]
@@ -111,9 +122,16 @@ mod tests {
             moved: vec![2, 5],
             removed: vec![9],
             stated_change: Some(StatedChange { sigma_theta_rad: 0.01, sigma_p_m: 0.2 }),
+            keyframe_motions: vec![protocol::KeyframeMotion {
+                keyframe: 5,
+                theta_rad: [0.5, 0.25, 0.0],
+                translation_m: [1.0, -2.0, 0.125],
+            }],
         });
         assert_eq!((revision.from_version, revision.version), (3, 4));
         assert_eq!(revision.changed_keyframes, [2, 5, 9]);
         assert_eq!(revision.size, Some(ChangeSize { sigma_rotation_rad: 0.01, sigma_position_m: 0.2 }));
+        let motion = Vector6::new(0.5, 0.25, 0.0, 1.0, -2.0, 0.125);
+        assert_eq!(revision.keyframe_motions, [KeyframeMotion { id: 5, motion }]);
     }
 }

@@ -3,7 +3,9 @@
 use estimator::EstimatorConfig;
 use evaluation::Verdict;
 use simulation::monte_carlo::score::{OutputScore, ScoreOptions, score};
-use simulation::monte_carlo::{AnswerOptions, MapChangeOptions, MonteCarloOptions, Variant, run};
+use simulation::monte_carlo::{
+    AnswerOptions, ChangeStatement, MapChangeOptions, MonteCarloOptions, MovedPart, Variant, run,
+};
 
 use crate::{Tracks, loops};
 
@@ -11,11 +13,12 @@ use crate::{Tracks, loops};
 fn pose_after_a_change(
     runs: usize,
     tracks: Tracks,
+    part: MovedPart,
     new_errors: bool,
-    is_stated: bool,
+    statement: ChangeStatement,
 ) -> (OutputScore, usize) {
     let change =
-        MapChangeOptions { at_s: 12.0, sigma_theta_rad: 0.03, sigma_p_m: 0.3, new_errors, is_stated };
+        MapChangeOptions { at_s: 12.0, sigma_theta_rad: 0.03, sigma_p_m: 0.3, part, new_errors, statement };
     let options = MonteCarloOptions {
         runs,
         simulation: loops(3.0, 20.0, tracks),
@@ -28,14 +31,20 @@ fn pose_after_a_change(
     let score = score(&all, &ScoreOptions { skip_after_initialization_s: 0.0, ..ScoreOptions::default() });
     assert_eq!((score.runs, score.diverged, score.not_localized), (runs, 0, 0));
     let pose = score.pose.unwrap();
-    for (part, nees) in [("rotation", &pose.rotation), ("position", &pose.position), ("pose", &pose.pose)] {
+    for (name, nees) in [("rotation", &pose.rotation), ("position", &pose.position), ("pose", &pose.pose)] {
         println!(
-            "new errors {new_errors}, stated {is_stated}, {part}: {:.2}, {:.2?}",
+            "{part:?} moves, new errors {new_errors}, stated {statement:?}, {name}: {:.2}, {:.2?}",
             nees.mean, nees.interval
         );
     }
     println!("{:.3} m, {:.3} deg, {:?}", pose.rmse_m, pose.rmse_deg, score.map);
     (pose, score.map.jumps)
+}
+
+fn is_consistent(pose: &OutputScore) {
+    for nees in [&pose.rotation, &pose.position, &pose.pose] {
+        assert!(matches!(nees.verdict, Verdict::Inside | Verdict::Near), "{nees:?}");
+    }
 }
 
 #[test]
@@ -51,13 +60,41 @@ fn nees_in_g_is_as_stated_behind_a_change_with_all_seeds() {
 
 fn is_as_stated_behind_a_change(runs: usize, tracks: Tracks) {
     for new_errors in [true, false] {
-        let (pose, jumps) = pose_after_a_change(runs, tracks, new_errors, true);
-        for nees in [&pose.rotation, &pose.position, &pose.pose] {
-            assert!(matches!(nees.verdict, Verdict::Inside | Verdict::Near), "{nees:?}");
-        }
+        let after = |statement| pose_after_a_change(runs, tracks, MovedPart::All, new_errors, statement);
+        let (pose, jumps) = after(ChangeStatement::Drawn);
+        is_consistent(&pose);
         assert_eq!(jumps, 0);
         // Without the process noise the same runs are overconfident.
-        let (pose, _) = pose_after_a_change(runs, tracks, new_errors, false);
+        let (pose, _) = after(ChangeStatement::Nothing);
         assert_eq!(pose.pose.verdict, Verdict::Overconfident, "{:?}", pose.pose);
+    }
+}
+
+#[test]
+fn robots_in_a_corner_that_moved_and_outside_of_it_are_as_uncertain_as_they_err() {
+    behind_a_moved_corner(8, Tracks::Few);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn robots_in_a_corner_that_moved_and_outside_of_it_with_all_seeds() {
+    behind_a_moved_corner(30, Tracks::All);
+}
+
+fn behind_a_moved_corner(runs: usize, tracks: Tracks) {
+    for (part, new_errors) in [
+        (MovedPart::All, true),
+        (MovedPart::All, false),
+        (MovedPart::Within(25.0), true),
+        (MovedPart::Within(25.0), false),
+        (MovedPart::Beyond(25.0), false),
+    ] {
+        let (pose, _) = pose_after_a_change(runs, tracks, part, new_errors, ChangeStatement::Keyframes);
+        for nees in [&pose.rotation, &pose.position, &pose.pose] {
+            assert!(nees.mean < nees.interval.1, "{part:?} {new_errors}: {nees:?}");
+        }
+        // Told one size for the whole map, the same robots err more.
+        let (by_size, _) = pose_after_a_change(runs, tracks, part, new_errors, ChangeStatement::Size);
+        assert!(pose.rmse_m < by_size.rmse_m && pose.rmse_deg < by_size.rmse_deg, "{part:?} {new_errors}");
     }
 }

@@ -376,6 +376,7 @@ impl Running {
             moved: change.moved,
             removed: change.removed,
             stated_change: change.stated_change.filter(|size| size.validate().is_ok()),
+            keyframe_motions: change.keyframe_motions,
         };
         self.release = release;
         self.keep().await;

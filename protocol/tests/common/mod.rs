@@ -351,10 +351,27 @@ pub fn map_changes() -> impl Strategy<Value = MapChangeNotice> {
     let stated = (0.0..1.0f64, 0.0..10.0f64)
         .prop_map(|(sigma_theta_rad, sigma_p_m)| StatedChange { sigma_theta_rad, sigma_p_m });
     let ids = || vec(any::<u64>(), 0..5);
+    let numbers = |most: f32| [-most..most, -most..most, -most..most];
+    let motion =
+        (any::<u64>(), numbers(1.0), numbers(10.0)).prop_map(|(keyframe, theta_rad, translation_m)| {
+            KeyframeMotion { keyframe, theta_rad, translation_m }
+        });
     let versions = (0..u64::MAX).prop_flat_map(|from| (Just(from), from + 1..=u64::MAX));
-    ((names(), identities()), versions, ids(), ids(), ids(), option::of(stated)).prop_map(
-        |((map, identity), (from_version, version), changed, moved, removed, stated_change)| {
-            MapChangeNotice { map, identity, from_version, version, changed, moved, removed, stated_change }
+    let change = (option::of(stated), vec(motion, 0..5));
+    ((names(), identities()), versions, ids(), ids(), ids(), change).prop_map(
+        |((map, identity), (from_version, version), changed, moved, removed, change)| {
+            let (stated_change, keyframe_motions) = change;
+            MapChangeNotice {
+                map,
+                identity,
+                from_version,
+                version,
+                changed,
+                moved,
+                removed,
+                stated_change,
+                keyframe_motions,
+            }
         },
     )
 }

@@ -181,6 +181,15 @@ impl JointCovariance {
         block += noise;
     }
 
+    /// Adds independent noise `U Uᵀ` to the active error state.
+    ///
+    /// # Arguments
+    /// * `root`: `U`, as many rows as the state has numbers.
+    pub fn add_noise_of_root(&mut self, root: &Dense) {
+        let mut active = self.active.view_mut();
+        active.gemm(1.0, &root.view(), &root.view().transpose(), 1.0);
+    }
+
     /// Replaces the covariance of errors from `begin` on that are not correlated with any other.
     pub fn replace(&mut self, begin: usize, covariance: &DMatrix<f64>) {
         self.active.view_mut().view_mut((begin, begin), covariance.shape()).copy_from(covariance);

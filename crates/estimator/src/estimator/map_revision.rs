@@ -2,12 +2,17 @@
 
 use super::Estimator;
 use super::map_update::UpdateResult;
+use crate::KeyframeId;
+use crate::linear_algebra::dense::Dense;
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_revision::{
-    ChangeSize, MAX_LINEAR_CHANGE_M, MapRevision, RevisionEffect, transform_noise,
+    ChangeSize, KeyframeMotion, MAX_LINEAR_CHANGE_M, MapRevision, RevisionEffect, keyframe_wrt_motion,
+    sigmas, transform_noise, transform_wrt_motion,
 };
 use crate::state::{Block, CloneId};
+use nalgebra::{DVector, Matrix6, Vector6};
+use std::collections::{HashMap, HashSet};
 
 impl Estimator {
     /// Applies the announcement of a new map version.
@@ -35,6 +40,7 @@ impl Estimator {
     ///     version: 2,
     ///     changed_keyframes: vec![40, 7],
     ///     size: Some(ChangeSize { sigma_rotation_rad: 1e-3, sigma_position_m: 0.02 }),
+    ///     keyframe_motions: Vec::new(),
     /// };
     /// // This filter has not used the map yet, so the change does not affect it.
     /// assert_eq!(estimator.map_changed(&revision), RevisionEffect::None);
@@ -50,9 +56,18 @@ impl Estimator {
             (0.0..=self.config.sigma_transform_rotation_rad).contains(&size.sigma_rotation_rad)
                 && (0.0..=MAX_LINEAR_CHANGE_M).contains(&size.sigma_position_m)
         };
-        match revision.size.filter(is_linear) {
+        let are_linear = revision.keyframe_motions.iter().all(|moved| {
+            let (turn, shift) =
+                (moved.motion.fixed_rows::<3>(0).norm(), moved.motion.fixed_rows::<3>(3).norm());
+            turn <= self.config.sigma_transform_rotation_rad && shift <= MAX_LINEAR_CHANGE_M
+        });
+        match revision.size.filter(|size| is_linear(size) && are_linear) {
             Some(size) if held == revision.from_version => {
-                self.add_transform_noise(size);
+                if revision.keyframe_motions.is_empty() {
+                    self.add_transform_noise(size);
+                } else {
+                    self.move_with_keyframes(&revision.changed_keyframes, &revision.keyframe_motions, size);
+                }
                 self.covariance.invalidate(&revision.changed_keyframes);
                 self.contradiction = None;
                 self.rejections_in_a_row = 0;
@@ -74,6 +89,48 @@ impl Estimator {
             let noise = transform_noise(&self.state.imu.local_from_imu.translation, size);
             self.covariance.add_noise(range.start, &noise);
         }
+    }
+
+    /// Moves the state with the keyframes that it depends on, and adds process noise for what else it depends on.
+    fn move_with_keyframes(&mut self, changed: &[KeyframeId], motions: &[KeyframeMotion], size: ChangeSize) {
+        let transform = self.state.range(Block::Transform).zip(self.state.transform);
+        let Some((range, global_from_local)) = transform else { return };
+        let robot = self.state.imu.local_from_imu.translation;
+        let robot_in_global = global_from_local.transform(&robot);
+        let changed: HashSet<KeyframeId> = changed.iter().copied().collect();
+        let motions: HashMap<KeyframeId, &Vector6<f64>> =
+            motions.iter().map(|moved| (moved.id, &moved.motion)).collect();
+
+        let held = &self.covariance.held;
+        let mut with_map: Vec<(KeyframeId, Matrix6<f64>)> = Vec::new();
+        let mut moved: Vec<(KeyframeId, Matrix6<f64>)> = Vec::new();
+        for keyframe in held.keyframes() {
+            let motion = motions.get(&keyframe.id);
+            if motion.is_some() || !changed.contains(&keyframe.id) {
+                let position = keyframe.global_from_keyframe.pose.translation;
+                with_map.push((keyframe.id, keyframe_wrt_motion(&position, &robot_in_global)));
+            }
+            if let Some(motion) = motion {
+                let mut column = Matrix6::zeros();
+                column.set_column(0, motion);
+                moved.push((keyframe.id, column));
+            }
+        }
+        let weighted = |terms: &[(KeyframeId, Matrix6<f64>)]| -> Dense {
+            held.weighted_sensitivity(terms.iter().map(|(id, block)| (*id, block)))
+        };
+        let mut correction = DVector::zeros(self.state.dim());
+        correction.copy_from_slice(weighted(&moved).column(0));
+        let mut remainder = weighted(&with_map);
+        let mut rows = remainder.view_mut();
+        rows.neg_mut();
+        let mut of_transform = rows.fixed_view_mut::<6, 6>(range.start, 0);
+        of_transform += transform_wrt_motion(&global_from_local, &robot);
+        for (mut column, sigma) in rows.column_iter_mut().zip(&sigmas(size)) {
+            column *= *sigma;
+        }
+        self.covariance.add_noise_of_root(&remainder);
+        self.state.retract(&correction);
     }
 
     /// Updates with an answer of the version in use, or of another one as the module's documentation says. If

@@ -11,6 +11,21 @@
 //! The covariance of the robot's pose in G is increased by exactly the stated sizes, whatever its distance to the origin of
 //! G. The noises of consecutive changes add up.
 //!
+//! # Where the motion of each keyframe is known
+//! A change moves one corner of a map and leaves the rest where it is. By how much that moves the state is known: with the consider
+//! sensitivities `M` of [`schmidt`](crate::schmidt) its error is `a = sum of M_j e_j + u`. Keyframe `j` was stated at `T_j` and is now
+//! stated at `T_j` moved by `d_j`, so that `e_j = d_j + e'_j` with the error `e'_j` of the new version, and
+//! ```text
+//! a = sum of M_j d_j + sum of M_j e'_j + u
+//! ```
+//! The first sum is known, and the state is corrected by it. A robot that was localized by keyframes that stayed where they were is not
+//! corrected and does not become less certain; one that was localized by those of the corner moves with them.
+//!
+//! What held keyframes do not explain (those that were removed, evicted, or changed before, and what else is known of
+//! `global_from_local`) is the remainder of a law: where the whole map moves by `m`, `global_from_local` does, too. With the errors
+//! `B_j m` of the keyframes and `J m` of the state, `J - sum of M_j B_j` is zero if all that the state knows of the map comes from
+//! held keyframes. Times the stated size of the motion of the map as a whole it is process noise.
+//!
 //! # Held keyframes of the old version
 //! * Keyframes that are unchanged in the new version have the same errors. They stay held, with their correlations; adding
 //!   keyframes to a map has no cost.
@@ -29,7 +44,8 @@
 
 use crate::KeyframeId;
 use crate::state::POSE_DIM;
-use nalgebra::{Matrix6, Vector3};
+use geometry::Pose;
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Time after the first answer of a new version in which its announcement is waited for, nanoseconds of image time. Both
 /// leave the server within milliseconds; in a recording played as fast as possible that can be a second.
@@ -59,6 +75,18 @@ pub struct MapRevision {
     pub changed_keyframes: Vec<KeyframeId>,
     /// Motion of the map, where it is known.
     pub size: Option<ChangeSize>,
+    /// Motions of those of the changed keyframes that are in both versions. Without any, the map moves as a whole by `size`; a
+    /// changed keyframe that is not here is one of which it is not known.
+    pub keyframe_motions: Vec<KeyframeMotion>,
+}
+
+/// Motion of a keyframe from one version of the map to the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframeMotion {
+    /// The keyframe.
+    pub id: KeyframeId,
+    /// `[δθ, δp]` in G, rad and metres: the pose of the new version is `R = Exp(δθ) R_old`, `p = p_old + δp`.
+    pub motion: Vector6<f64>,
 }
 
 /// Effect of [`Estimator::map_changed`](crate::Estimator::map_changed).
@@ -146,8 +174,40 @@ impl MapVersion {
 pub(crate) fn transform_noise(position: &Vector3<f64>, size: ChangeSize) -> Matrix6<f64> {
     let mut wrt_motion = Matrix6::identity();
     wrt_motion.fixed_view_mut::<3, 3>(POSE_DIM / 2, 0).copy_from(&position.cross_matrix());
-    let variance =
-        |k: usize| if k < POSE_DIM / 2 { size.sigma_rotation_rad } else { size.sigma_position_m }.powi(2);
-    let motion = Matrix6::from_diagonal(&nalgebra::Vector6::from_fn(|k, _| variance(k)));
+    let motion = Matrix6::from_diagonal(&sigmas(size).map(|sigma| sigma.powi(2)));
     wrt_motion * motion * wrt_motion.transpose()
+}
+
+/// Standard deviations of a pose error of G.
+pub(crate) fn sigmas(size: ChangeSize) -> Vector6<f64> {
+    let of = |k: usize| if k < POSE_DIM / 2 { size.sigma_rotation_rad } else { size.sigma_position_m };
+    Vector6::from_fn(|k, _| of(k))
+}
+
+/// Jacobian of the error of `global_from_local`, in L, with respect to a motion of G about a point.
+///
+/// # Arguments
+/// * `position`: the point in L, metres.
+///
+/// # Returns
+/// With respect to `[τ, σ]` in the axes of G: G rotates by `τ` about the point and translates by `σ`.
+pub(crate) fn transform_wrt_motion(global_from_local: &Pose, position: &Vector3<f64>) -> Matrix6<f64> {
+    let local_from_global: Matrix3<f64> =
+        global_from_local.rotation.inverse().to_rotation_matrix().into_inner();
+    let mut jacobian = Matrix6::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&local_from_global);
+    jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&local_from_global);
+    jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&(position.cross_matrix() * local_from_global));
+    jacobian
+}
+
+/// Jacobian of the error of a keyframe with respect to the same motion of G.
+///
+/// # Arguments
+/// * `keyframe`: its position in G, metres.
+/// * `centre`: the point in G, metres.
+pub(crate) fn keyframe_wrt_motion(keyframe: &Vector3<f64>, centre: &Vector3<f64>) -> Matrix6<f64> {
+    let mut jacobian = Matrix6::identity();
+    jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(keyframe - centre).cross_matrix());
+    jacobian
 }

@@ -37,7 +37,7 @@ impl Correlations {
     }
 
     /// The keyframes correlated with `id`, each with its block; rows are the other's error.
-    pub fn with(&self, id: KeyframeId) -> impl Iterator<Item = (KeyframeId, &Matrix6<f64>)> {
+    pub fn with(&self, id: KeyframeId) -> impl Iterator<Item = (KeyframeId, &Matrix6<f64>)> + Clone {
         let others = self.rows.get(&id).into_iter().flatten().map(|(other, _)| *other);
         others.filter_map(move |other| self.between(other, id).map(|block| (other, block)))
     }

@@ -134,17 +134,9 @@ impl HeldKeyframes {
     /// `P_Aj` of an active slot, state x 6.
     pub fn cross_covariance(&self, slot: usize) -> DMatrix<f64> {
         let keyframe = self.get(slot);
-        let mut cross = Dense::zeros(self.active.dim(), KEYFRAME_DIM);
-        let mut add = |of: usize, block: &Matrix6<f64>| {
-            let block = Dense::from_columns(KEYFRAME_DIM, block.as_slice());
-            self.active.add_sensitivity_times(of, &block, &mut cross);
-        };
-        add(slot, &keyframe.covariance_of_rest());
-        for (other, block) in self.correlations.with(keyframe.id) {
-            if let Some(of) = self.slot_of(other) {
-                add(of, block);
-            }
-        }
+        let own = keyframe.covariance_of_rest();
+        let correlated = self.correlations.with(keyframe.id);
+        let mut cross = self.weighted_sensitivity(std::iter::once((keyframe.id, &own)).chain(correlated));
         if keyframe.common.ncols() > 0 && self.active.common_dim() > 0 {
             self.active.add_common_times(&keyframe.common, &mut cross);
         }
@@ -152,10 +144,34 @@ impl HeldKeyframes {
         if keyframe.common.ncols() > 0 && self.inactive.common_dim() > 0 {
             cross += self.inactive.common_times(&keyframe.common, &self.active).view();
         }
-        if let Some(sum) = self.inactive.weighted_sum(self.correlations.with(keyframe.id), &self.active) {
-            cross += sum.view();
-        }
         cross
+    }
+
+    /// `sum of M_k B_k` over held keyframes, state x 6: by how much the state errs where each keyframe `k` errs by `B_k` times the
+    /// same six numbers.
+    ///
+    /// # Arguments
+    /// * `terms`: keyframes with their `B_k`; those that are not held are ignored.
+    pub fn weighted_sensitivity<'a>(
+        &self,
+        terms: impl Iterator<Item = (KeyframeId, &'a Matrix6<f64>)> + Clone,
+    ) -> Dense {
+        let mut sum = Dense::zeros(self.active.dim(), KEYFRAME_DIM);
+        for (id, block) in terms.clone() {
+            if let Some(slot) = self.slot_of(id) {
+                let block = Dense::from_columns(KEYFRAME_DIM, block.as_slice());
+                self.active.add_sensitivity_times(slot, &block, &mut sum);
+            }
+        }
+        if let Some(of_inactive) = self.inactive.weighted_sum(terms, &self.active) {
+            sum.view_mut().zip_apply(&of_inactive.view(), |total, number| *total += number);
+        }
+        sum
+    }
+
+    /// All held keyframes, the active ones first.
+    pub fn keyframes(&self) -> impl Iterator<Item = &HeldKeyframe> {
+        self.active.keyframes().iter().chain(self.inactive.keyframes())
     }
 
     /// `P_NN` of some active slots as the filter uses it, with all inflation.

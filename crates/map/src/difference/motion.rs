@@ -1,7 +1,15 @@
-//! How far a map moved as a whole.
+//! How far a map moved as a whole, and each of its keyframes.
 
 use geometry::Pose;
-use protocol::StatedChange;
+use protocol::{KeyframeId, KeyframeMotion, StatedChange};
+
+/// How far a keyframe moved.
+pub(super) fn motion_of(keyframe: KeyframeId, before: &Pose, now: &Pose) -> KeyframeMotion {
+    let motion = before.local(now).map(|number| number as f32);
+    let [theta_rad, translation_m] =
+        [0, 3].map(|begin| [motion[begin], motion[begin + 1], motion[begin + 2]]);
+    KeyframeMotion { keyframe, theta_rad, translation_m }
+}
 
 /// The motion of a map, summed over the keyframes that both versions have.
 #[derive(Clone, Copy, Debug, Default)]

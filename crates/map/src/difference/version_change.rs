@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use protocol::{KeyframeId, StatedChange};
+use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 
 use super::compared::Compared;
 use super::criteria::{has_moved, is_recorrelated, with_other_common_errors};
-use super::motion::Motion;
+use super::motion::{Motion, motion_of};
 
 /// What changed from one version of a map to another, keyframe by keyframe; ids ascend.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -21,6 +21,8 @@ pub struct VersionChange {
     pub removed: Vec<KeyframeId>,
     /// Size of the map's motion; `None` where no keyframe is in both versions.
     pub stated_change: Option<StatedChange>,
+    /// How far the moved ones moved; some only have another covariance.
+    pub keyframe_motions: Vec<KeyframeMotion>,
 }
 
 impl VersionChange {
@@ -31,6 +33,9 @@ impl VersionChange {
         let mut removed = Vec::new();
         let mut motion = Motion::default();
         motion.add_unmoved(unmoved);
+        let pose_in = |version: &Compared<'_>, id| {
+            version.keyframes.get(id).map(|keyframe| keyframe.global_from_keyframe.pose)
+        };
         for (id, former) in &before.keyframes {
             let Some(present) = now.keyframes.get(id) else {
                 removed.push(*id);
@@ -54,12 +59,17 @@ impl VersionChange {
             }
         }
         changed.extend(&moved);
+        let keyframe_motions = moved
+            .iter()
+            .filter_map(|id| Some(motion_of(*id, &pose_in(before, id)?, &pose_in(now, id)?)))
+            .collect();
         Self {
             changed: changed.into_iter().collect(),
             moved: moved.into_iter().collect(),
             added: now.keyframes.keys().filter(|id| is_new(id)).copied().collect(),
             removed,
             stated_change: motion.size(),
+            keyframe_motions,
         }
     }
 }

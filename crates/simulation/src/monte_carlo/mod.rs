@@ -55,7 +55,7 @@ pub use calibration::{CalibrationError, CalibrationErrors};
 pub use disturbance::{Disturbance, DisturbedState, Rescue};
 pub use gnss::{GnssJump, GnssOptions};
 pub use lie::Lie;
-pub use map_change::MapChangeOptions;
+pub use map_change::{ChangeStatement, MapChangeOptions, MovedPart};
 pub use score::{EnsembleScore, OutputScore, ScoreOptions, score};
 pub use trial::{MapCounts, Trial};
 pub use wheels::{Slip, WheelOptions};

@@ -25,6 +25,7 @@ const STEP_NS: i64 = 50_000_000;
 const MAX_VIEWS: usize = 8;
 
 /// A keyframe.
+#[derive(Clone)]
 pub(crate) struct Keyframe {
     /// Its pose in G as the map states it, with covariance.
     pub(crate) stated: PoseWithCovariance,
@@ -37,6 +38,7 @@ pub(crate) struct Keyframe {
 }
 
 /// The map of one seed.
+#[derive(Clone)]
 pub(crate) struct NoisyMap {
     /// Its camera.
     pub(crate) camera: Camera,
