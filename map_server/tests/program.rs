@@ -321,7 +321,14 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     let change = news.recv_async().await.unwrap();
     let change: MapChangeNotice = protocol::decode(Format::Bincode, &change.payload().to_bytes()).unwrap();
     assert_eq!((change.map.as_str(), change.from_version, change.version), ("hall", 1, 2));
-    assert_eq!((change.moved, change.removed), (moved, Vec::new()));
+    let motions: Vec<_> =
+        change.keyframe_motions.iter().map(|motion| (motion.keyframe, motion.translation_m)).collect();
+    let expected: Vec<_> = moved.iter().map(|&id| (id, [0.0_f32, 0.3, 0.0])).collect();
+    for ((told, translation_m), (id, expected)) in std::iter::zip(&motions, &expected) {
+        let apart = std::iter::zip(translation_m, expected).map(|(told, expected)| (told - expected).abs());
+        assert!(told == id && apart.fold(0.0, f32::max) < 1e-6, "{motions:?}");
+    }
+    assert_eq!((motions.len(), change.moved, change.removed), (2, moved, Vec::new()));
     let stated = change.stated_change.unwrap();
     assert!((stated.sigma_p_m - 0.3 * (2.0 / 15.0_f64).sqrt()).abs() < 1e-9 && stated.sigma_theta_rad < 1e-9);
     assert_eq!(version().await, 2);
