@@ -55,7 +55,7 @@ impl Factor for JointPrior {
             }
         }
         let indices = self.views.iter().flat_map(|&view| layout.pose(view));
-        equations.add_information(indices, information, gradient.as_slice());
+        equations.add_information(indices, &information, gradient.as_slice());
     }
 }
 

@@ -31,16 +31,12 @@ pub struct NormalEquations {
     eliminated_gradient: DVector<f64>,
     /// Blocks (a, b), `a <= b`, of S that landmarks cause, without the diagonal of H.
     blocks: BTreeMap<(usize, usize), Matrix6<f64>>,
-    /// Further terms of H.
-    terms: Vec<Term>,
+    /// Further terms of H, summed.
+    terms: SparseSystem,
+    /// Their diagonal.
+    diagonal_of_terms: DVector<f64>,
     /// The landmarks, in runs.
     landmarks: Vec<EliminatedLandmarks>,
-}
-
-/// A term of H between a few unknowns.
-struct Term {
-    indices: Vec<usize>,
-    information: DMatrix<f64>,
 }
 
 /// The solution.
@@ -60,7 +56,8 @@ impl NormalEquations {
             gradient: DVector::zeros(layout.dim()),
             eliminated_gradient: DVector::zeros(layout.dim()),
             blocks: BTreeMap::new(),
-            terms: Vec::new(),
+            terms: SparseSystem::new(layout.dim()),
+            diagonal_of_terms: DVector::zeros(layout.dim()),
             landmarks: Vec::new(),
         }
     }
@@ -95,7 +92,7 @@ impl NormalEquations {
         let size = of_indices.nrows();
         let of_indices = DMatrix::from_column_slice(size, size, of_indices.as_slice());
         let gradient = -(weighted * residual);
-        self.add_information(indices, of_indices, gradient.as_slice());
+        self.add_information(indices, &of_indices, gradient.as_slice());
     }
 
     /// Adds information on unknowns at any indices.
@@ -105,14 +102,17 @@ impl NormalEquations {
     pub fn add_information(
         &mut self,
         indices: impl IntoIterator<Item = usize>,
-        information: DMatrix<f64>,
+        information: &DMatrix<f64>,
         gradient: &[f64],
     ) {
         let indices: Vec<usize> = indices.into_iter().collect();
         for (&index, value) in indices.iter().zip(gradient) {
             self.gradient[index] += value;
         }
-        self.terms.push(Term { indices, information });
+        for (&index, value) in indices.iter().zip(information.diagonal().iter()) {
+            self.diagonal_of_terms[index] += value;
+        }
+        self.terms.add(&indices, &indices, information);
     }
 
     /// Adds a run of landmarks, with what their pixels say of the poses.
@@ -143,7 +143,7 @@ impl NormalEquations {
     pub(crate) fn solve_with(&self, cholesky: &mut SparseCholesky, damping: f64) -> Option<Step> {
         let mut system = self.system();
         self.damp(&mut system, damping);
-        let states = cholesky.factor(system)?.solve(&(&self.gradient - &self.eliminated_gradient));
+        let states = cholesky.factor(&system)?.solve(&(&self.gradient - &self.eliminated_gradient));
         let of_run = |run: usize| self.landmarks[run].errors(self.layout, &states);
         let landmarks = parallel::map(self.landmarks.len(), of_run, |_| ()).concat();
         Some(Step { states, landmarks })
@@ -155,10 +155,8 @@ impl NormalEquations {
                 system.add_diagonal(index, damping * value);
             }
         }
-        for term in &self.terms {
-            for (&index, value) in term.indices.iter().zip(term.information.diagonal().iter()) {
-                system.add_diagonal(index, damping * value);
-            }
+        for (index, value) in self.diagonal_of_terms.iter().enumerate().filter(|(_, value)| **value != 0.0) {
+            system.add_diagonal(index, damping * value);
         }
     }
 
@@ -169,7 +167,7 @@ impl NormalEquations {
 
     /// S: the information matrix of the states.
     fn system(&self) -> SparseSystem {
-        let mut system = SparseSystem::new(self.layout.dim());
+        let mut system = self.terms.clone();
         let indices = |view: usize| -> Vec<usize> { self.layout.pose(view).collect() };
         for (view, block) in self.diagonal.iter().enumerate() {
             system.add(&indices(view), &indices(view), block);
@@ -177,9 +175,6 @@ impl NormalEquations {
         for (&(a, b), block) in &self.blocks {
             // The block (b, a), below the diagonal.
             system.add(&indices(b), &indices(a), &block.transpose());
-        }
-        for term in &self.terms {
-            system.add(&term.indices, &term.indices, &term.information);
         }
         system
     }

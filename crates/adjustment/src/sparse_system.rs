@@ -5,24 +5,57 @@ use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
 use faer::sparse::{Argsort, Pair, SparseColMat, SymbolicSparseColMat};
 use faer::{MatMut, Side};
 use nalgebra::{DMatrix, DVector, Dim, Matrix, RawStorage};
+use std::collections::HashMap;
 
-/// The lower half of a symmetric matrix, as a sum of entries.
+/// Rows and columns of a tile: rotations, positions, velocities and biases have three numbers.
+const TILE: usize = 3;
+
+/// The lower half of a symmetric matrix, of which most is zero.
+///
+/// What is added is summed at once, in tiles of 3 by 3: a landmark that hundreds of keyframes see adds to hundreds of thousands of
+/// numbers, which other landmarks add to as well.
+#[derive(Clone)]
 pub struct SparseSystem {
     dim: usize,
-    /// Row and column of each entry.
-    places: Vec<Pair<u32, u32>>,
-    values: Vec<f64>,
+    /// The number of each tile in `tiles`, by column and row of tiles.
+    numbers: HashMap<(u32, u32), usize>,
+    /// Their numbers, column by column.
+    tiles: Vec<[f64; TILE * TILE]>,
+}
+
+/// Consecutive indices of a block that are in one tile.
+struct Run {
+    tile: u32,
+    /// The first one, as an index of the block.
+    begin: usize,
+    /// Where each is in the tile.
+    offsets: Vec<usize>,
+}
+
+impl Run {
+    fn all_of(indices: &[usize]) -> Vec<Run> {
+        let mut runs: Vec<Run> = Vec::new();
+        for (place, &index) in indices.iter().enumerate() {
+            let (tile, offset) = ((index / TILE) as u32, index % TILE);
+            match runs.last_mut().filter(|run| run.tile == tile) {
+                Some(run) => run.offsets.push(offset),
+                None => runs.push(Run { tile, begin: place, offsets: vec![offset] }),
+            }
+        }
+        runs
+    }
 }
 
 impl SparseSystem {
     /// Zero, with so many rows, which are fewer than 2^32.
     pub fn new(dim: usize) -> SparseSystem {
-        SparseSystem { dim, places: Vec::new(), values: Vec::new() }
+        SparseSystem { dim, numbers: HashMap::new(), tiles: Vec::new() }
     }
 
     /// Adds one number to the diagonal.
     pub fn add_diagonal(&mut self, index: usize, value: f64) {
-        self.push(index, index, value);
+        let tile = (index / TILE) as u32;
+        self.tile(tile, tile)[(index % TILE) * (TILE + 1)] += value;
     }
 
     /// Adds a block whose rows and columns are at the given indices. Of what lies above the diagonal nothing is added: a
@@ -33,28 +66,56 @@ impl SparseSystem {
         columns: &[usize],
         block: &Matrix<f64, R, C, S>,
     ) {
-        for (j, &column) in columns.iter().enumerate() {
-            for (i, &row) in rows.iter().enumerate() {
-                if row >= column {
-                    self.push(row, column, block[(i, j)]);
+        let (rows, columns) = (Run::all_of(rows), Run::all_of(columns));
+        for of_columns in &columns {
+            for of_rows in rows.iter().filter(|run| run.tile >= of_columns.tile) {
+                let tile = self.tile(of_rows.tile, of_columns.tile);
+                for (j, column) in of_columns.offsets.iter().enumerate() {
+                    for (i, row) in of_rows.offsets.iter().enumerate() {
+                        tile[TILE * column + row] += block[(of_rows.begin + i, of_columns.begin + j)];
+                    }
                 }
             }
         }
     }
 
-    fn push(&mut self, row: usize, column: usize, value: f64) {
-        self.places.push(Pair::new(row as u32, column as u32));
-        self.values.push(value);
+    fn tile(&mut self, row: u32, column: u32) -> &mut [f64; TILE * TILE] {
+        let tiles = &mut self.tiles;
+        let number = *self.numbers.entry((column, row)).or_insert_with(|| {
+            tiles.push([0.0; TILE * TILE]);
+            tiles.len() - 1
+        });
+        &mut tiles[number]
+    }
+
+    /// The numbers of all tiles on and below the diagonal, with their places; in the same order whatever was added first.
+    fn entries(&self) -> (Vec<Pair<u32, u32>>, Vec<f64>) {
+        let mut sorted: Vec<((u32, u32), usize)> =
+            self.numbers.iter().map(|(at, number)| (*at, *number)).collect();
+        sorted.sort_unstable();
+        let mut places = Vec::with_capacity(TILE * TILE * sorted.len());
+        let mut values = Vec::with_capacity(places.capacity());
+        for ((tile_column, tile_row), number) in sorted {
+            for (place, value) in self.tiles[number].iter().enumerate() {
+                let (row, column) =
+                    (TILE * tile_row as usize + place % TILE, TILE * tile_column as usize + place / TILE);
+                if column <= row && row < self.dim {
+                    places.push(Pair::new(row as u32, column as u32));
+                    values.push(*value);
+                }
+            }
+        }
+        (places, values)
     }
 
     /// The Cholesky factor; `None` where the matrix is not positive definite.
-    pub fn factor(self) -> Option<SparseFactor> {
+    pub fn factor(&self) -> Option<SparseFactor> {
         SparseCholesky::default().factor(self)
     }
 }
 
-/// Factors systems one after the other. Where the entries of one are at the places of the last one's, in the same order, as from step to step
-/// of an adjustment, they are neither sorted nor ordered for elimination again.
+/// Factors systems one after the other. Where the entries of one are at the places of the last one's, as from step to step of an
+/// adjustment, they are neither sorted nor ordered for elimination again.
 #[derive(Default)]
 pub struct SparseCholesky {
     symbolic: Option<Symbolic>,
@@ -76,20 +137,21 @@ impl Symbolic {
         Some(Symbolic { places, matrix, order, factor })
     }
 
-    fn fits(&self, system: &SparseSystem) -> bool {
-        self.matrix.nrows() == system.dim && self.places == system.places
+    fn fits(&self, dim: usize, places: &[Pair<u32, u32>]) -> bool {
+        self.matrix.nrows() == dim && self.places == places
     }
 }
 
 impl SparseCholesky {
     /// The Cholesky factor; `None` where the matrix is not positive definite.
-    pub fn factor(&mut self, system: SparseSystem) -> Option<SparseFactor> {
+    pub fn factor(&mut self, system: &SparseSystem) -> Option<SparseFactor> {
+        let (places, values) = system.entries();
         let symbolic = match self.symbolic.take() {
-            Some(symbolic) if symbolic.fits(&system) => symbolic,
-            _ => Symbolic::new(system.dim, system.places)?,
+            Some(symbolic) if symbolic.fits(system.dim, &places) => symbolic,
+            _ => Symbolic::new(system.dim, places)?,
         };
         let Symbolic { matrix, order, factor, .. } = self.symbolic.insert(symbolic);
-        let matrix = SparseColMat::new_from_argsort(matrix.clone(), order, &system.values).ok()?;
+        let matrix = SparseColMat::new_from_argsort(matrix.clone(), order, &values).ok()?;
         let factor = Llt::try_new_with_symbolic(factor.clone(), matrix.as_ref(), Side::Lower).ok()?;
         Some(SparseFactor { dim: system.dim, factor })
     }
@@ -184,14 +246,14 @@ mod tests {
         ];
         for (dim, begins) in orders {
             let system = random(dim, begins);
-            let alone = SparseSystem { dim, places: system.places.clone(), values: system.values.clone() };
+            let alone = system.factor().unwrap();
             let right = DVector::from_fn(dim, |row, _| row as f64 - 3.0);
-            assert_eq!(cholesky.factor(system).unwrap().solve(&right), alone.factor().unwrap().solve(&right));
+            assert_eq!(cholesky.factor(&system).unwrap().solve(&right), alone.solve(&right));
         }
         let mut indefinite = SparseSystem::new(14);
         (0..14).for_each(|index| indefinite.add_diagonal(index, -1.0));
-        assert!(cholesky.factor(indefinite).is_none());
-        assert!(cholesky.factor(random(14, &[1, 4])).is_some());
+        assert!(cholesky.factor(&indefinite).is_none());
+        assert!(cholesky.factor(&random(14, &[1, 4])).is_some());
     }
 
     #[test]

@@ -15,7 +15,7 @@ fn chain_with_loops(rng: &mut StdRng, poses: usize) -> (NormalEquations, DMatrix
     let mut equations = NormalEquations::new(layout);
     let mut dense = DMatrix::identity(layout.dim(), layout.dim()) * 0.3;
     for pose in 0..poses {
-        equations.add_information(layout.pose(pose), DMatrix::identity(POSE, POSE) * 0.3, &[0.0; POSE]);
+        equations.add_information(layout.pose(pose), &(DMatrix::identity(POSE, POSE) * 0.3), &[0.0; POSE]);
     }
     let pairs = (1..poses).map(|i| (i - 1, i)).chain([(0, poses - 1), (2, poses / 2), (poses - 2, 1)]);
     for (i, j) in pairs.collect::<Vec<_>>() {
@@ -27,7 +27,7 @@ fn chain_with_loops(rng: &mut StdRng, poses: usize) -> (NormalEquations, DMatrix
                 dense[(at, other)] += information[(row, column)];
             }
         }
-        equations.add_information(indices, information, &[0.0; 2 * POSE]);
+        equations.add_information(indices, &information, &[0.0; 2 * POSE]);
     }
     (equations, dense)
 }
