@@ -96,6 +96,24 @@ pub struct Arguments {
     #[arg(long, value_name = "SIZE", requires = "cells")]
     pub memory: Option<ByteSize>,
 
+    /// Take sessions that robots hand in, into this folder: for `driftless build-map --extend`
+    ///
+    /// One server of a map takes them.
+    #[arg(long, value_name = "DIR")]
+    pub inbox: Option<PathBuf>,
+
+    /// What all sessions in the inbox may take, like 10G.
+    #[arg(long, value_name = "SIZE", default_value = "10G", requires = "inbox")]
+    pub inbox_limit: ByteSize,
+
+    /// What the sessions of one robot may take there.
+    #[arg(long, value_name = "SIZE", default_value = "1G", requires = "inbox")]
+    pub inbox_robot_limit: ByteSize,
+
+    /// Take only sessions that are signed: folder with the public key NAME.pub of each robot, made by `driftless release-key`.
+    #[arg(long, value_name = "DIR", requires = "inbox")]
+    pub robot_keys: Option<PathBuf>,
+
     /// How the server is connected [default: --listen tcp/127.0.0.1:7447].
     #[command(flatten)]
     pub session: SessionArguments,

@@ -6,6 +6,7 @@
 //! | `map/{map}/localize` | [`protocol::LocalizeRequest`] | [`protocol::LocalizeReply`] |
 //! | `map/{map}/info` | no payload | [`protocol::MapInfoReply`] |
 //! | `map/{map}/keyframes/{id}` | no payload | [`protocol::KeyframeReply`]; `*` for all, one per reply |
+//! | `map/{map}/sessions/{robot}` | [`protocol::SessionPart`] | [`protocol::SessionPartReply`]; of a server with an inbox |
 //! | `map/{map}/changes` | | publishes [`protocol::MapChangeNotice`] when a map is replaced |
 //! | `map_server/{server}` | | liveliness token, declared after all queryables |
 //!
@@ -28,6 +29,7 @@
 //! | `reports` | tells what became of each query |
 //! | `durations` | how long queries take, as counts in buckets |
 //! | [`show`], [`images`] | the live map in the browser, and images that people give to it |
+//! | [`inbox`] | takes sessions that robots hand in |
 //! | `change` | differences between two versions of a map |
 //! | [`state`] | what a server keeps from one run to the next: which version it serves |
 //!
@@ -58,6 +60,7 @@ mod fair_queue;
 mod handlers;
 mod host;
 pub mod images;
+pub mod inbox;
 mod kind;
 pub mod map_argument;
 mod metrics;
@@ -79,6 +82,7 @@ pub use cells::{CellChoice, CellService, CellServiceOptions};
 pub use durations::DurationCounts;
 pub use error::ServeError;
 pub use images::ImageLocalizer;
+pub use inbox::InboxService;
 pub use metrics::ServerStatistics;
 pub use options::ServerOptions;
 pub use reports::{AnsweredQuery, QueryReport};

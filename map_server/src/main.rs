@@ -17,11 +17,14 @@ use anyhow::{Context, bail};
 use client::session::{Member, Role};
 use client::{close_session, open_session, without_secrets};
 use databases::MapSource;
+use hand_in::{Inbox, InboxSettings};
 use map_server::arguments::Arguments;
 use map_server::byte_size::ByteSize;
 use map_server::map_argument::MapArgument;
 use map_server::state::SledStore;
-use map_server::{CellChoice, CellService, CellServiceOptions, MapServer, ServerOptions, ServerState, Show};
+use map_server::{
+    CellChoice, CellService, CellServiceOptions, InboxService, MapServer, ServerOptions, ServerState, Show,
+};
 use monitoring::{Health, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
 use released::open_store;
@@ -103,6 +106,7 @@ async fn serve() -> anyhow::Result<()> {
     options.state = open_state(arguments.state.as_deref()).await;
     let server = MapServer::start(session.clone(), maps, options).await?;
     let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
+    let inbox = take_sessions(&session, &arguments).await?;
     let monitoring = match arguments.monitoring {
         Some(address) => Some(start_monitoring(address, &server).await?),
         None => None,
@@ -128,6 +132,9 @@ async fn serve() -> anyhow::Result<()> {
     }
     for service in services {
         service.stop().await;
+    }
+    if let Some(inbox) = inbox {
+        inbox.stop().await?;
     }
     server.stop().await?;
     close_session(&session).await;
@@ -216,6 +223,28 @@ async fn serve_cells(
         services.push(served.await.with_context(|| format!("map {name} cannot be served"))?);
     }
     Ok(services)
+}
+
+/// Takes sessions into the folder that `--inbox` names.
+async fn take_sessions(
+    session: &zenoh::Session,
+    arguments: &Arguments,
+) -> anyhow::Result<Option<InboxService>> {
+    let Some(folder) = &arguments.inbox else { return Ok(None) };
+    let settings = InboxSettings {
+        folder: folder.clone(),
+        bytes_of_robot: arguments.inbox_robot_limit.0 as u64,
+        bytes_in_all: arguments.inbox_limit.0 as u64,
+        keys: arguments.robot_keys.clone(),
+    };
+    if settings.keys.is_none() && arguments.session.secure.is_none() {
+        tracing::warn!(
+            "--inbox without --robot-keys and --secure: anybody in the network can hand sessions in"
+        );
+    }
+    let inbox = Inbox::open(settings).context("--inbox")?;
+    let maps = arguments.maps.iter().map(|map| map.name.as_str());
+    Ok(Some(InboxService::start(session, maps, inbox).await.context("--inbox")?))
 }
 
 /// The user's cache folder, or where there is no user the folder for temporary files.

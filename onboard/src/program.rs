@@ -1,8 +1,9 @@
 //! The robot as a program: builds a run from the switches, plays a source, scores it, and writes the output folder.
 
-use super::arguments::{Init, RobotArguments};
+use super::arguments::{HandInArguments, Init, RobotArguments};
 use super::outputs::{
-    EVENTS, MessageRecording, Recorder, RecordingSettings, STATES, StatusLine, Summary, ZenohOutput,
+    EVENTS, HandInOutput, HandInSettings, MessageRecording, Recorder, RecordingSettings, STATES, StatusLine,
+    Summary, ZenohOutput,
 };
 use super::start::{excerpt, initial_state};
 use anyhow::{Context as _, Result, bail};
@@ -10,13 +11,16 @@ use estimator::{EstimatorConfig, InitialState, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
+use hand_in::Header;
 use robot::stop::StopSignal;
 use robot::{
     Event, LinkError, MapLink, Robot, RobotLink, RobotSettings, RunError, RunReport, gnss_sensor,
     wheel_sensor,
 };
 use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
+use signing::SecretKey;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 use vision::GrayImage;
 use vision::tracking::TrackerOptions;
@@ -160,7 +164,8 @@ fn play(
     let link = link.filter(|link| link.map().is_none() || config.mode != MapMode::Odometry);
     let map = link.as_ref().and_then(RobotLink::map).map(str::to_owned);
     let masks = if contents.images { arguments.features.read_masks()? } else { Vec::new() };
-    let mut calibration = source.calibration().clone();
+    let source_calibration = source.calibration().clone();
+    let mut calibration = source_calibration.clone();
     // As they are used, by switches and settings.
     calibration.wheels = config.wheels.as_ref().map(wheel_sensor);
     calibration.gnss = config.gnss.as_ref().map(gnss_sensor);
@@ -177,6 +182,9 @@ fn play(
     }
     if let Some(recording) = recording(arguments, calibration, realtime, map.is_some())? {
         robot.add_output(recording);
+    }
+    if let Some(output) = hand_in(arguments, source_calibration, realtime, map.is_some())? {
+        robot.add_output(output);
     }
     if let Some(ros) = &arguments.ros {
         robot.add_output(ros.clone());
@@ -234,6 +242,49 @@ fn recording(
         realtime,
     };
     MessageRecording::start(path, settings).map(Some).context("--record")
+}
+
+/// The sessions that `--hand-in` asks for.
+fn hand_in(
+    arguments: &RobotArguments,
+    calibration: SensorCalibration,
+    realtime: bool,
+    has_map: bool,
+) -> Result<Option<HandInOutput>> {
+    let HandInArguments { hand_in, hand_in_key, hand_in_rate, hand_in_minutes, hand_in_limit } =
+        &arguments.hand_in;
+    let Some(folder) = hand_in else { return Ok(None) };
+    if !has_map {
+        bail!(
+            "--hand-in records what a map can be extended by, and there is no map: give --map, or leave it out"
+        );
+    }
+    let session_length = Duration::try_from_secs_f64(hand_in_minutes * 60.0)
+        .ok()
+        .filter(|length| *length >= Duration::from_secs(10))
+        .with_context(|| format!("--hand-in-minutes is {hand_in_minutes}; give ten seconds or more"))?;
+    let imu = calibration.imu.context("--hand-in needs an IMU")?;
+    let password = || std::env::var("DRIFTLESS_KEY_PASSWORD").ok();
+    let key = hand_in_key.as_ref().map(|file| SecretKey::read(file, password())).transpose();
+    let key = key.context("--hand-in-key")?.map(Arc::new);
+    let header = Header {
+        robot: arguments.robot.clone(),
+        name: String::new(),
+        program: concat!("onboard ", env!("CARGO_PKG_VERSION")).to_owned(),
+        started_unix_s: 0,
+        imu,
+        cameras: calibration.cameras,
+    };
+    let settings = HandInSettings {
+        folder: folder.clone(),
+        header,
+        key,
+        bytes_per_minute: f64::from(*hand_in_rate) * 1000.0,
+        session_length,
+        most_bytes: u64::from(*hand_in_limit) * 1_000_000,
+        realtime,
+    };
+    HandInOutput::start(settings).map(Some).with_context(|| format!("--hand-in {}", folder.display()))
 }
 
 /// Connects the robot; what is wrong with the name of the map names its switch.

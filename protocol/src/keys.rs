@@ -3,6 +3,7 @@
 //! | key | kind |
 //! |---|---|
 //! | [`map_match`], [`map_localize`], [`map_info`], [`map_keyframe`] | queryable |
+//! | [`map_sessions`] | queryable of a server that takes sessions |
 //! | [`cell_match`], [`cell_localize`], [`cell_keyframe`] | queryable, for servers of other cells of the map |
 //! | [`map_changes`] | publisher |
 //! | [`robot_pose`], [`robot_odometry`], [`robot_odometry_predicted`], [`robot_status`] | publisher |
@@ -117,6 +118,14 @@ pub fn map_keyframe(map: &str, id: KeyframeId) -> Result<String, NameError> {
 /// [`NameError`] if the name cannot be part of a key.
 pub fn map_keyframes(map: &str) -> Result<String, NameError> {
     key("map", map, "/keyframes/*")
+}
+
+/// `map/{map}/sessions/{robot}`: [`crate::SessionPart`] in, [`crate::SessionPartReply`] out; `*` for all robots.
+///
+/// # Errors
+/// [`NameError`] if a name cannot be part of a key.
+pub fn map_sessions(map: &str, robot: Option<&str>) -> Result<String, NameError> {
+    key("map", map, &format!("/sessions/{}", name_or_all(robot)?))
 }
 
 /// `map/{map}/cell/{cell}/match`: [`crate::MatchRequest`] in, [`crate::CellMatchReply`] out.

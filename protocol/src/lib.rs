@@ -61,6 +61,7 @@ pub mod cells;
 pub mod codec;
 pub mod error_reply;
 pub mod features;
+pub mod hand_in;
 pub mod identity;
 pub mod keys;
 pub mod limits;
@@ -79,6 +80,7 @@ pub use cells::{CellLocalizeReply, CellMatchReply, CellPlace};
 pub use codec::{CodecError, Format, Message, decode, encode};
 pub use error_reply::{ErrorCode, ErrorReply};
 pub use features::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet};
+pub use hand_in::{MAX_SESSION_BYTES, MAX_SESSION_PART_BYTES, SessionPart, SessionPartReply};
 pub use identity::MapIdentity;
 pub use limits::{
     KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES, MAX_CHANGE_M, MAX_CHANGE_RAD, MAX_EXTRACTOR_BYTES,

@@ -4,6 +4,7 @@
 use crate::cells::{CellLocalizeReply, CellMatchReply};
 use crate::codec::Message;
 use crate::error_reply::ErrorReply;
+use crate::hand_in::{SessionPart, SessionPartReply};
 use crate::localize::{LocalizeReply, LocalizeRequest};
 use crate::map::{KeyframeReply, MapChangeNotice, MapInfoReply};
 use crate::matching::MatchRequest;
@@ -31,4 +32,6 @@ messages! {
     11 "error_reply" ErrorReply;
     12 "cell_match_reply" CellMatchReply;
     13 "cell_localize_reply" CellLocalizeReply;
+    14 "session_part" SessionPart;
+    15 "session_part_reply" SessionPartReply;
 }

@@ -45,6 +45,8 @@ fn every_example_is_a_valid_message() {
             RobotStatus::NAME => assert_round_trip::<RobotStatus>(&text),
             CellMatchReply::NAME => assert_round_trip::<CellMatchReply>(&text),
             CellLocalizeReply::NAME => assert_round_trip::<CellLocalizeReply>(&text),
+            SessionPart::NAME => assert_round_trip::<SessionPart>(&text),
+            SessionPartReply::NAME => assert_round_trip::<SessionPartReply>(&text),
             ErrorReply::NAME => assert_round_trip::<ErrorReply>(&text),
             other => panic!("{name} has the unknown type {other}"),
         }

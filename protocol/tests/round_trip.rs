@@ -36,6 +36,8 @@ round_trips! {
     error_reply: error_replies,
     cell_match_reply: cell_match_replies,
     cell_localize_reply: cell_localize_replies,
+    session_part: session_parts,
+    session_part_reply: session_part_replies,
 }
 
 #[test]
@@ -54,6 +56,8 @@ fn every_message_has_its_own_tag_and_name() {
         (ErrorReply::TAG, ErrorReply::NAME),
         (CellMatchReply::TAG, CellMatchReply::NAME),
         (CellLocalizeReply::TAG, CellLocalizeReply::NAME),
+        (SessionPart::TAG, SessionPart::NAME),
+        (SessionPartReply::TAG, SessionPartReply::NAME),
     ];
     let tags: std::collections::HashSet<_> = all.iter().map(|(tag, _)| tag).collect();
     let names: std::collections::HashSet<_> = all.iter().map(|(_, name)| name).collect();

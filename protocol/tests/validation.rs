@@ -223,3 +223,20 @@ fn an_overlong_error_text_is_cut_and_sent() {
     assert!(reply.message.len() <= MAX_TEXT_BYTES);
     encode(Format::Bincode, &reply).unwrap();
 }
+
+#[test]
+fn a_part_of_a_session_is_inside_of_a_file_that_is_not_too_large() {
+    let part = SessionPart { total_bytes: 100, digest: [1; 32], offset: 90, bytes: vec![0; 10] };
+    assert!(part.validate().is_ok());
+    for wrong in [
+        SessionPart { offset: 91, ..part.clone() },
+        SessionPart { offset: u64::MAX, ..part.clone() },
+        SessionPart { total_bytes: 0, offset: 0, bytes: Vec::new(), ..part.clone() },
+        SessionPart { total_bytes: MAX_SESSION_BYTES + 1, ..part.clone() },
+        SessionPart { total_bytes: 1 << 20, bytes: vec![0; MAX_SESSION_PART_BYTES + 1], ..part.clone() },
+    ] {
+        assert!(wrong.validate().is_err(), "{wrong:?}");
+    }
+    let reply = SessionPartReply { received_bytes: MAX_SESSION_BYTES + 1, is_complete: false };
+    assert!(reply.validate().is_err());
+}

@@ -39,6 +39,8 @@ fn limits() -> BTreeMap<&'static str, String> {
         ("protocol::MAX_MESSAGE_BYTES", bytes(protocol::MAX_MESSAGE_BYTES as u64)),
         ("protocol::MAX_QUERY_FEATURES", count(protocol::MAX_QUERY_FEATURES, "features")),
         ("protocol::MAX_HELD_KEYFRAMES", count(protocol::MAX_HELD_KEYFRAMES, "held keyframes")),
+        ("protocol::MAX_SESSION_PART_BYTES", bytes(protocol::MAX_SESSION_PART_BYTES as u64)),
+        ("protocol::MAX_SESSION_BYTES", bytes(protocol::MAX_SESSION_BYTES)),
         ("protocol::MAX_ANSWER_KEYFRAMES", format!("{} keyframes", protocol::MAX_ANSWER_KEYFRAMES)),
         ("geometry::camera::MIN_FOCAL", format!("from {} to", camera::MIN_FOCAL)),
         ("geometry::camera::MAX_FOCAL", format!("to {} times", grouped(camera::MAX_FOCAL as u64))),

@@ -7,6 +7,7 @@ mod chaos;
 mod consistency;
 mod crates_picture;
 mod floors;
+mod hand_in;
 mod images;
 mod initial_pose;
 mod inspect;

@@ -17,7 +17,7 @@ mod map_aliases;
 mod map_difference;
 pub mod map_place;
 #[cfg(feature = "ros")]
-pub mod map_topics;
+mod map_topics;
 mod old_spellings;
 mod open_page;
 pub mod playback;
@@ -27,4 +27,5 @@ pub mod query_image;
 pub mod review;
 pub mod run_tracks;
 pub mod server_query;
+pub mod session_files;
 pub mod stage_bar;

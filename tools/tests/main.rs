@@ -20,6 +20,8 @@ mod fleet;
 mod full_disk;
 #[cfg(unix)]
 mod gnss;
+#[cfg(all(unix, feature = "releases"))]
+mod hand_in;
 #[cfg(unix)]
 mod imu_model;
 #[cfg(unix)]

@@ -4,13 +4,15 @@
 //! first. The body frame is the IMU's, as in EuRoC.
 
 use crate::yaml::{
-    Lens, NoiseYaml, check_positive, checked_time_shift, parse, pose_from_matrix, read_text, readout_time,
+    Lens, NoiseYaml, check_positive, checked_time_shift, parse, pose_from_matrix, projection_yaml, read_text,
+    readout_time,
 };
 use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, kalibr};
 use geometry::camera::Camera;
 use geometry::{Geodetic, Pose, check_mount};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
+use std::fmt::Write as _;
 use std::path::Path;
 
 /// Largest distance of the IMU from the body frame (metres, radians): they are meant to be the same.
@@ -107,13 +109,63 @@ pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationErro
 /// # Errors
 /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
-    let camera = lens(path, &read_text(path)?)?;
-    let mount: MountYaml = parse(path, KIND, &read_text(path)?)?;
+    camera_of_text(path, &read_text(path)?)
+}
+
+/// Reads a camera from the text of such a file. `path`: what it is called in errors.
+///
+/// # Errors
+/// As [`read_camera`].
+pub fn camera_of_text(path: &Path, text: &str) -> Result<CameraSensor, CalibrationError> {
+    let camera = lens(path, text)?;
+    let mount: MountYaml = parse(path, KIND, text)?;
     check_positive(path, "rate_hz", mount.rate_hz)?;
     let imu_from_camera = pose_from_matrix(path, "T_BS", &mount.body_from_sensor.data)?;
     let readout_s = readout_time(path, "line_delay", mount.line_delay, &camera)?;
     let time_shift_s = checked_time_shift(path, "timeshift_cam_imu", mount.timeshift_cam_imu)?;
     Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz, readout_s, time_shift_s })
+}
+
+/// The text of the `sensor.yaml` of an IMU. Scale and misalignment are those of its readings, which are corrected already.
+pub fn text_of_imu(imu: &ImuSensor) -> String {
+    let mut text =
+        format!("sensor_type: imu\n{}rate_hz: {}\n", text_of_mount(&Pose::identity()), imu.rate_hz);
+    if let Some(gravity) = imu.gravity_magnitude {
+        let _ = writeln!(text, "gravity_magnitude: {gravity}");
+    }
+    let noise = &imu.noise;
+    let _ = writeln!(text, "gyroscope_noise_density: {}", noise.gyroscope);
+    let _ = writeln!(text, "gyroscope_random_walk: {}", noise.gyroscope_walk);
+    let _ = writeln!(text, "accelerometer_noise_density: {}", noise.accelerometer);
+    let _ = writeln!(text, "accelerometer_random_walk: {}", noise.accelerometer_walk);
+    text
+}
+
+/// The text of the `sensor.yaml` of a camera. A shift of its stamps that is no delay is in the stamps already, and not stated.
+pub fn text_of_camera(sensor: &CameraSensor) -> String {
+    let mut text = format!(
+        "sensor_type: camera\n{}rate_hz: {}\n",
+        text_of_mount(&sensor.imu_from_camera),
+        sensor.rate_hz
+    );
+    if sensor.readout_s != 0.0 {
+        let _ = writeln!(text, "line_delay: {}", sensor.readout_s / f64::from(sensor.camera.height));
+    }
+    if sensor.delay_s() != 0.0 {
+        let _ = writeln!(text, "timeshift_cam_imu: {}", sensor.delay_s());
+    }
+    text + &projection_yaml(&sensor.camera)
+}
+
+fn text_of_mount(pose: &Pose) -> String {
+    let rotation = pose.rotation.to_rotation_matrix();
+    let mut text = String::from("T_BS:\n  cols: 4\n  rows: 4\n");
+    for row in 0..3 {
+        let cells = (0..3).map(|column| rotation[(row, column)].to_string() + ", ").collect::<String>();
+        let opening = if row == 0 { "  data: [" } else { "         " };
+        let _ = writeln!(text, "{opening}{cells}{},", pose.translation[row]);
+    }
+    text + "         0.0, 0.0, 0.0, 1.0]\n"
 }
 
 /// Reads the `sensor.yaml` of GNSS: `antenna` in the IMU's frame (m), and where they are known `origin`, latitude and longitude (deg) and

@@ -57,6 +57,12 @@ pub enum ClientError {
     /// A reply cannot be decoded.
     #[error("the map server's answer is unreadable: {0}")]
     Unreadable(#[source] CodecError),
+    /// A session file arrives damaged, again and again.
+    #[error("the session was sent {attempts} times and arrived damaged each time")]
+    Damaged {
+        /// How often it was sent.
+        attempts: usize,
+    },
     /// The background task of the query panicked.
     #[error("the query ended badly: {problem}")]
     TaskFailed {
@@ -96,6 +102,7 @@ impl ClientError {
             Self::Encode(_)
             | Self::Unreadable(_)
             | Self::TooLong { .. }
+            | Self::Damaged { .. }
             | Self::TaskFailed { .. }
             | Self::Subscribe { .. } => false,
         }

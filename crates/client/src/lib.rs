@@ -54,6 +54,7 @@ pub mod arguments;
 pub mod cell_client;
 pub mod error;
 mod error_line;
+mod hand_in;
 #[cfg(feature = "arguments")]
 mod log;
 pub mod map_change_subscriber;
@@ -69,6 +70,7 @@ pub use arguments::SessionArguments;
 pub use cell_client::{CellClient, CellPlacement, CellReply, ForwardedQuery};
 pub use error::ClientError;
 pub use error_line::error_line;
+pub use hand_in::SessionUpload;
 #[cfg(feature = "arguments")]
 pub use log::without_secrets;
 pub use map_change_subscriber::MapChangeSubscriber;

@@ -48,6 +48,11 @@ impl MapClient {
         Self { retry: Retry::TransientOrUnknownMap, ..self }
     }
 
+    /// The session that it uses.
+    pub(crate) fn session(&self) -> &zenoh::Session {
+        &self.session
+    }
+
     /// Name of the map.
     pub fn map(&self) -> &str {
         &self.map

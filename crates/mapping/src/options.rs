@@ -1,5 +1,6 @@
 //! Settings of map building.
 
+use map::sessions::Recorded;
 use nalgebra::Vector3;
 
 /// Pixel noise (px) that is assumed until it is estimated.
@@ -22,6 +23,9 @@ pub struct BuildOptions {
     pub created_by: String,
     /// The robot that made the recording, where known: for the ledger of sessions.
     pub robot: Option<String>,
+    /// What identifies the recording, where it states that itself: a session that a robot handed in. Else it is computed of the
+    /// readings and images that are used.
+    pub recorded: Option<Recorded>,
     /// Direction in which gravity points in G (unit vector), where known; else, with reference poses, the recording's IMU tells it.
     pub gravity_in_global: Option<Vector3<f64>>,
     /// Only frames from this time on, seconds from the first frame.
@@ -75,6 +79,7 @@ impl Default for BuildOptions {
             name: "map".to_owned(),
             created_by: "driftless build-map".to_owned(),
             robot: None,
+            recorded: None,
             gravity_in_global: None,
             from_s: 0.0,
             until_s: f64::INFINITY,

@@ -1,7 +1,7 @@
 //! The session of a recording, as the ledger of a map has it.
 
 use map::model::Keyframe;
-use map::sessions::{RecordedDigest, Session, SessionOverlap};
+use map::sessions::{Recorded, RecordedDigest, Session, SessionOverlap};
 use map::{MapContents, MapMetadata};
 use protocol::KeyframeId;
 use sensors::Sequence;
@@ -12,6 +12,12 @@ use super::options::BuildOptions;
 /// What of a recording is used, by the times of the options: its images, and the readings of the IMU from the first of them to before
 /// the last one, so that two pieces that follow each other have no reading in common.
 pub(super) fn session_of(sequence: &Sequence, options: &BuildOptions) -> Session {
+    let name = sequence.root.file_name().map_or_else(|| "recording".into(), |name| name.to_string_lossy());
+    let recorded = options.recorded.clone().unwrap_or_else(|| recorded_of(sequence, options));
+    Session::new(recorded, &name).by_robot(options.robot.as_deref())
+}
+
+fn recorded_of(sequence: &Sequence, options: &BuildOptions) -> Recorded {
     let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
     let stamps = || sequence.frames.iter().map(|frame| frame.stamp_ns);
     let used = || stamps().filter(|stamp_ns| is_in_time(*stamp_ns, first_ns, options));
@@ -25,8 +31,7 @@ pub(super) fn session_of(sequence: &Sequence, options: &BuildOptions) -> Session
         }
     }
     used().for_each(|stamp_ns| digest.add_image(stamp_ns));
-    let name = sequence.root.file_name().map_or_else(|| "recording".into(), |name| name.to_string_lossy());
-    Session::new(digest.finish(), &name).by_robot(options.robot.as_deref())
+    digest.finish()
 }
 
 /// Enters a session with its keyframes into a ledger, behind those that are there.

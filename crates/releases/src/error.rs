@@ -2,11 +2,11 @@
 
 use crate::damage::Damage;
 use crate::partition::CellId;
-use crate::signing::SignatureError;
 use crate::stage::Verdict;
 use map::file::SegmentError;
 use map::{ContentsError, RecordError};
 use protocol::MapIdentity;
+use signing::SignatureError;
 use std::path::PathBuf;
 
 /// Why a release was not published, read or fetched.
@@ -132,21 +132,18 @@ pub enum ReleaseError {
         reason: SignatureError,
     },
     /// A release cannot be signed; it is not published.
-    #[error("{object} cannot be signed: {reason}")]
+    #[cfg(feature = "signing")]
+    #[error("{object} cannot be signed: {source}")]
     Sign {
         /// The file of the release, candidate or decision.
         object: String,
-        /// The error of minisign.
-        reason: Box<dyn std::error::Error + Send + Sync>,
+        /// The error.
+        source: signing::SignError,
     },
     /// A secret key cannot be used.
-    #[error("the key {file} cannot be used: {reason}")]
-    Key {
-        /// File of the key.
-        file: PathBuf,
-        /// Why not.
-        reason: String,
-    },
+    #[cfg(feature = "signing")]
+    #[error(transparent)]
+    Key(#[from] signing::KeyError),
     /// The release has no such cell.
     #[error("release {number} of {place} has no cell {cell}; driftless list-releases --cells names them")]
     NoCell {

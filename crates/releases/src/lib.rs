@@ -23,13 +23,16 @@
 //! | [`stage`] | what is live and what is proposed; who did it and why |
 //! | [`candidates`] | promoting and rejecting what is proposed |
 //! | [`place`] | which release of which store, in one word |
-//! | [`signing`] | who may publish |
 //! | [`store`] | the object store |
 //! | [`publish`](mod@publish) | publishing a map, going back to a former release |
 //! | [`fetch`](mod@fetch) | the map of a release or single cells of it, every byte verified |
 //! | [`source`] | a store with its cache, as a server has them |
 //! | [`cache`] | segments and the newest release, kept on disk |
 //! | [`clean`](mod@clean) | removing what no release needs |
+//!
+//! What is signed (crate `signing`) are the bytes of a release's file, which names the SHA-256 of every segment, its own number and
+//! its stage: who can write to the store but has no key can take releases away, and cannot make or change one, nor make a candidate
+//! live. A decision about a candidate is signed too, and names the digest of its map.
 //!
 //! # Example
 //! ```
@@ -67,7 +70,6 @@ pub mod partition;
 pub mod place;
 pub mod publish;
 pub mod release;
-pub mod signing;
 pub mod source;
 pub mod stage;
 pub mod store;
@@ -86,8 +88,8 @@ pub use place::{ReleaseChoice, ReleaseChoiceError, ReleasePlace};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
 pub use release::{Release, ReleaseDifference, ReleasedCell, ServedCell};
 #[cfg(feature = "signing")]
-pub use signing::SigningKey;
-pub use signing::{ReleaseKey, ReleaseKeyError, SignatureError};
+pub use signing::{KeyError, SecretKey as SigningKey};
+pub use signing::{PublicKey as ReleaseKey, PublicKeyError as ReleaseKeyError, SignatureError};
 pub use source::ReleaseSource;
 pub use stage::{CandidateState, Decision, Note, Stage, Verdict};
 pub use store::ReleaseStore;

@@ -4,9 +4,6 @@ use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::error::ReleaseError;
 use crate::release::Release;
-#[cfg(feature = "signing")]
-use crate::signing::SigningKey;
-use crate::signing::{ReleaseKey, SignatureError};
 use crate::stage::Decision;
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
@@ -16,6 +13,9 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
 use serde::Serialize;
+#[cfg(feature = "signing")]
+use signing::SecretKey as SigningKey;
+use signing::{PublicKey as ReleaseKey, SignatureError};
 use std::sync::Arc;
 use url::Url;
 
@@ -279,7 +279,9 @@ impl ReleaseStore {
         #[cfg(feature = "signing")]
         if let Some(key) = &self.signing {
             // Before its file, so that none is ever without.
-            let signature = key.sign(&text, &object)?;
+            let signature = key.sign(&text);
+            let signature =
+                signature.map_err(|source| ReleaseError::Sign { object: object.clone(), source })?;
             let name = signature_name(&text);
             let put = self.put(&name, signature, PutMode::Overwrite).await;
             put.map_err(|source| self.failed(name, "written", source))?;

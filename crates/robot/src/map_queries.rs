@@ -12,7 +12,7 @@ use super::query_cameras::QueryImage;
 use super::run::Robot;
 use super::stop::NOTICE;
 use client::{MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
-use estimator::{CloneId, EstimatorError, MapMode, Rejection, RevisionEffect};
+use estimator::{CloneId, EstimatorError, MapMode, MapReport, Rejection, RevisionEffect};
 use nalgebra::Vector2;
 use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
 use sensors::Frame;
@@ -58,6 +58,7 @@ impl Robot<'_> {
 
     fn send_query(&mut self, image: QueryImage, stamp_ns: i64, mut features: FeatureSet) {
         let QueryImage { clone, camera } = image;
+        self.outputs.each(|output| output.features(stamp_ns, camera, &features));
         let mode = self.supervisor.config().mode;
         let (Some(queries), Some(estimator), Some(projection)) = (
             &mut self.map.queries,
@@ -193,13 +194,14 @@ impl Robot<'_> {
         }
         let Some(estimator) = self.supervisor.estimator_since(request.stamp_ns) else {
             self.note_failure(failure);
+            self.give_answer(result, None);
             let mut event = Event::new(result, request.stamp_ns);
             event.note_failure("the estimator was initialized again after this query was sent");
             self.note_event(&event);
             return Ok(());
         };
         let mut event = Event::new(result, estimator.stamp_ns());
-        let mut refusal = None;
+        let (mut refusal, mut updated) = (None, None);
         match (&matched, &result.answer) {
             (Some(answer), _) => {
                 let before = estimator.local_from_imu();
@@ -213,6 +215,7 @@ impl Robot<'_> {
                     self.initial_pose.answered(estimator, result.token, request.stamp_ns);
                 }
                 refusal = report.rejection.filter(|reason| matches!(reason, Rejection::OtherMap { .. }));
+                updated = Some(report);
             }
             (None, Ok(answer)) => {
                 self.query_cameras.note_answer(camera, false);
@@ -221,11 +224,20 @@ impl Robot<'_> {
             (None, Err(error)) => event.note_failure(&error.to_string()),
         }
         estimator.unpin(clone);
+        self.give_answer(result, updated.as_ref());
         self.note_event(&event);
         self.note_failure(
             failure.or_else(|| refusal.map(|reason| format!("its answer is refused: {reason}"))),
         );
         Ok(())
+    }
+
+    /// Gives out what the map answered, where it did.
+    fn give_answer(&mut self, result: &QueryResult<QueryImage>, report: Option<&MapReport>) {
+        if let Ok(answer) = &result.answer {
+            let (stamp_ns, camera) = (result.request.stamp_ns, result.token.camera);
+            self.outputs.each(|output| output.answer(stamp_ns, camera, answer, report));
+        }
     }
 
     fn note_event(&mut self, event: &Event) {

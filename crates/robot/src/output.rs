@@ -3,8 +3,10 @@
 use super::estimate::{Estimate, StatusReport};
 use super::event::Event;
 use super::report::RunReport;
-use estimator::Motion;
+use client::MatchAnswer;
+use estimator::{MapReport, Motion, TrackObservation};
 use geometry::PoseWithCovariance;
+use protocol::FeatureSet;
 use sensors::live::Stream;
 use sensors::{Frame, GnssReading, ImuSample, WheelReading};
 use std::error::Error;
@@ -44,8 +46,8 @@ impl<'a> Connection<'a> {
 /// (for a network, a disk, a lock) delays the next image. Each does nothing unless it is implemented.
 ///
 /// # Order
-/// [`begin`](Output::begin) comes with the first image. Of an image come [`frame`](Output::frame), then
-/// [`correct`](Output::correct) and [`query`](Output::query) for each answer of the map, then
+/// [`begin`](Output::begin) comes with the first image. Of an image come [`frame`](Output::frame), [`tracks`](Output::tracks), then
+/// [`features`](Output::features), [`correct`](Output::correct), [`answer`](Output::answer) and [`query`](Output::query) for each answer of the map, then
 /// [`estimate`](Output::estimate), then [`status`](Output::status). [`end`](Output::end) is the last.
 ///
 /// # Times
@@ -101,6 +103,33 @@ pub trait Output {
     /// An image is about to be processed.
     fn frame(&mut self, frame: &Frame) {
         let _ = frame;
+    }
+
+    /// The tracked points of an image, as they go to the estimator, whether it is initialized or not.
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: time of the image, nanoseconds.
+    fn tracks(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) {
+        let _ = (stamp_ns, tracks);
+    }
+
+    /// The features of an image that the map is to be asked about, when they are extracted: some images later.
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: time of the image, nanoseconds.
+    /// * `camera`: which camera took it.
+    fn features(&mut self, stamp_ns: i64, camera: usize, features: &FeatureSet) {
+        let _ = (stamp_ns, camera, features);
+    }
+
+    /// The map answered about an image: what comes before [`query`](Output::query) where there is an answer.
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: time of the image, nanoseconds.
+    /// * `camera`: which camera took it.
+    /// * `report`: of the update of the estimator; `None` without a match, or where the estimator was initialized again meanwhile.
+    fn answer(&mut self, stamp_ns: i64, camera: usize, answer: &MatchAnswer, report: Option<&MapReport>) {
+        let _ = (stamp_ns, camera, answer, report);
     }
 
     /// Where the robot is, at every image from the initialization on.
@@ -183,6 +212,18 @@ impl<O: Output + ?Sized> Output for &mut O {
 
     fn frame(&mut self, frame: &Frame) {
         (**self).frame(frame);
+    }
+
+    fn tracks(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) {
+        (**self).tracks(stamp_ns, tracks);
+    }
+
+    fn features(&mut self, stamp_ns: i64, camera: usize, features: &FeatureSet) {
+        (**self).features(stamp_ns, camera, features);
+    }
+
+    fn answer(&mut self, stamp_ns: i64, camera: usize, answer: &MatchAnswer, report: Option<&MapReport>) {
+        (**self).answer(stamp_ns, camera, answer, report);
     }
 
     fn estimate(&mut self, estimate: &Estimate) {

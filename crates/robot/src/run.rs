@@ -337,6 +337,7 @@ impl<'a> Robot<'a> {
         let begin = Instant::now();
         let Some(tracks) = self.tracks_of(frame) else { return Ok(()) };
         timings.front_end = begin.elapsed();
+        self.outputs.each(|output| output.tracks(frame.stamp_ns, &tracks));
 
         let begin = Instant::now();
         self.feed_imu(frame.stamp_ns);

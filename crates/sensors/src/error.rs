@@ -25,6 +25,9 @@ pub enum SequenceError {
         /// The error.
         source: std::io::Error,
     },
+    /// A session file of a robot cannot be used.
+    #[error(transparent)]
+    Session(#[from] hand_in::HandInError),
     /// A calibration file is invalid.
     #[error("{}: {problem}", path.display())]
     Calibration {

@@ -9,6 +9,7 @@
 //! | `stored` | what a format on disk provides; opening any of them |
 //! | `stamps`, `pairing` | wrong stamps of a recorded stream, and its order; [`PairCounts`], which images make a stereo pair |
 //! | `split_imu` | [`SplitImu`], gyroscope and accelerometer that come for themselves |
+//! | `session_file` | session files of robots as recordings |
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
@@ -84,6 +85,7 @@ mod ros_sensors;
 mod ros_wheels;
 mod row_order;
 mod rows;
+mod session_file;
 mod source;
 mod split_imu;
 mod stamps;

@@ -1,9 +1,10 @@
 //! Bags of ROS 2 messages, written.
 
 use crate::SensorCalibration;
-use crate::euroc::writer::{gnss_yaml, imu_yaml};
+use crate::euroc::writer::gnss_yaml;
 use crate::ros::{ImageMessage, RosSensors};
 use bags::{BagError, BagWriter, Format, MessageType, Metadata, OfferedQos, WrittenTopic};
+use calibration::sensor_yaml::text_of_imu;
 use calibration::wheel_yaml::text_of_wheels;
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image};
@@ -92,16 +93,14 @@ impl RosBagWriter {
         let mut entries = BTreeMap::from([(IMU_FRAME_ENTRY.to_owned(), sensors.imu_frame().to_owned())]);
         entries.extend(sensors.rates_hz().map(|(topic, rate_hz)| (rate_entry(&topic), rate_hz.to_string())));
         if let Some(imu) = imu {
-            let mut text = Vec::new();
-            // Memory can be written to.
-            let _ = imu_yaml(&mut text, imu);
-            entries.insert(IMU_ENTRY.to_owned(), String::from_utf8_lossy(&text).into_owned());
+            entries.insert(IMU_ENTRY.to_owned(), text_of_imu(imu));
         }
         if let Some(wheels) = wheels {
             entries.insert(WHEELS_ENTRY.to_owned(), text_of_wheels(wheels));
         }
         if let Some(gnss) = gnss {
             let mut text = Vec::new();
+            // Memory can be written to.
             let _ = gnss_yaml(&mut text, gnss);
             entries.insert(GNSS_ENTRY.to_owned(), String::from_utf8_lossy(&text).into_owned());
         }

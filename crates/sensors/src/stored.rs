@@ -5,6 +5,7 @@ use super::euroc::Folder;
 use super::image_check::ImageCheck;
 use super::imu_check::ImuCheck;
 use super::rows::Rows;
+use super::session_file::SessionRecording;
 use super::{
     CalibrationFiles, Frame, GnssReading, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
     Sequence, SequenceError, TruthRow, WheelReading, WheelReadings,
@@ -67,16 +68,16 @@ pub(crate) trait Stored: Debug + Send + Sync {
     }
 }
 
-/// Whether a path is a recording rather than an image: a folder, or a bag.
+/// Whether a path is a recording rather than an image: a folder, a bag, or a session file.
 pub fn is_recording(path: &Path) -> bool {
     #[cfg(feature = "bags")]
     if bags::Bag::is_bag(path) {
         return true;
     }
-    path.is_dir()
+    path.is_dir() || hand_in::Session::is_session(path)
 }
 
-/// Opens a recording with its calibration: a folder in the EuRoC layout, or a bag.
+/// Opens a recording with its calibration: a folder in the EuRoC layout, a bag, or a session file.
 pub(crate) fn open(
     root: &Path,
     files: &CalibrationFiles,
@@ -96,6 +97,10 @@ fn open_any(
     if bags::Bag::is_bag(root) {
         let (bag, calibration) = super::bag::BagRecording::open(root, files)?;
         return Ok((Arc::new(bag), calibration));
+    }
+    if hand_in::Session::is_session(root) {
+        let (session, calibration) = SessionRecording::open(root)?;
+        return Ok((Arc::new(session), calibration));
     }
     let (folder, calibration) = Folder::open(root, files)?;
     Ok((Arc::new(folder), calibration))

@@ -4,6 +4,7 @@ mod calibration;
 mod choices;
 mod features;
 mod gnss;
+mod hand_in;
 mod imu_in_base_link;
 mod live;
 #[cfg(feature = "ros")]
@@ -16,6 +17,7 @@ pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
 pub use features::{FeatureArguments, mask_path, read_masks};
 pub use gnss::GnssArguments;
+pub use hand_in::HandInArguments;
 pub use imu_in_base_link::ImuInBaseLink;
 pub use live::LiveArguments;
 #[cfg(feature = "ros")]
@@ -64,6 +66,9 @@ pub struct RobotArguments {
     /// Such a file can be played again with --sequence, without any other calibration.
     #[arg(long, requires = "record", help_heading = OUTPUT)]
     pub record_sensors: bool,
+    /// Sessions for the map
+    #[command(flatten)]
+    pub hand_in: HandInArguments,
     /// The IMU in base_link, for --record and --ros2: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: by
     /// /tf_static of the bag, or of ROS 2 with --source ros2; else base_link is the IMU]
     #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", allow_hyphen_values = true, help_heading = OUTPUT)]

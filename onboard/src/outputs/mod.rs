@@ -1,6 +1,7 @@
 //! What a run puts out: files, the summary, messages.
 
 mod files;
+mod hand_in;
 mod metrics;
 mod name_watch;
 mod publisher;
@@ -23,6 +24,7 @@ mod summary;
 mod zenoh_output;
 
 pub use files::{EVENTS, OutputError, STATES};
+pub(crate) use hand_in::{HandInOutput, HandInSettings};
 pub use metrics::RobotMetrics;
 pub use publisher::Publisher;
 pub use publisher_error::PublisherError;

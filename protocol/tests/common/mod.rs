@@ -472,3 +472,19 @@ pub fn sealed_as(schema: u16, payload: &[u8], tag: u16) -> Vec<u8> {
     bytes.extend(payload);
     bytes
 }
+
+pub fn session_parts() -> impl Strategy<Value = SessionPart> {
+    (0..1_000_000_u64, any::<[u8; 32]>(), vec(any::<u8>(), 0..300), 0..1000_u64).prop_map(
+        |(offset, digest, bytes, more)| SessionPart {
+            total_bytes: offset + bytes.len() as u64 + more + 1,
+            digest,
+            offset,
+            bytes,
+        },
+    )
+}
+
+pub fn session_part_replies() -> impl Strategy<Value = SessionPartReply> {
+    (0..=MAX_SESSION_BYTES, any::<bool>())
+        .prop_map(|(received_bytes, is_complete)| SessionPartReply { received_bytes, is_complete })
+}

@@ -16,6 +16,7 @@ use super::build_report::{print_extension, print_report};
 use super::import_map::parse_direction;
 use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
+use crate::session_files;
 use crate::stage_bar::StageBar;
 use map::contents::MapContents;
 use map::store::{MapTarget, load_map};
@@ -44,6 +45,7 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     driftless build-map my_run --map my.db --poses out/states.csv\n  \
     driftless build-map my_run --map my.db --position-priors gnss_enu.csv --lever-arm 0.1,0,0.4\n  \
     driftless build-map another_run --map my.db --extend\n  \
+    driftless build-map inbox/robot7/1a2b.session --map my.db --extend\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
     REC holds mav0/cam0, and cam1, cam2 ... of a rig, with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
     cam0/features.csv replaces the images. Odometry, places seen again and one visual-inertial adjustment give the poses.\n\n\
@@ -59,7 +61,7 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     map is built from odometry, in their frame, whose z axis must point up. Positions are lines `ns,x,y,z`, as EuRoC's\n\
     leica0/data.csv, or `ns,x,y,z,sigma_x,sigma_y,sigma_z` in metres; wrong ones are refused.")]
 pub struct Args {
-    /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
+    /// The recording: a folder in the EuRoC layout, a bag (MCAP, rosbag2, rosbag1), or a session that a robot handed in
     #[arg(value_name = "REC")]
     pub recording: PathBuf,
     /// Calibration
@@ -207,6 +209,15 @@ pub(crate) fn build(
         check_stereo(&sequence.cameras, || Ok(sequence.frames.iter().cloned().map(Ok)))?;
     }
     let mut options = options(args)?;
+    if let Some((robot, recorded)) = session_files::of_recording(&args.recording)? {
+        if args.from.is_some() || args.until.is_some() {
+            bail!(
+                "--from and --until are for recordings; a session is used as a whole, and entered into the ledger as a whole"
+            );
+        }
+        options.robot.get_or_insert(robot);
+        options.recorded = Some(recorded);
+    }
     if let Some(stored) = stored {
         // Odometry would take minutes to get to the same.
         check_new_recording(&stored.info, &sequence, &options).map_err(ExtendError::from)?;

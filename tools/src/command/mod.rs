@@ -18,6 +18,7 @@ pub mod export_map;
 pub mod extract_features;
 #[cfg(feature = "secure")]
 pub mod fleet;
+pub mod hand_in;
 pub mod import_colmap;
 pub mod import_map;
 #[cfg(feature = "bags")]
@@ -32,6 +33,7 @@ pub mod inspect;
     feature = "vda5050"
 )))]
 mod left_out;
+pub mod list_sessions;
 pub mod localize;
 #[cfg(feature = "manual")]
 pub mod manual;
@@ -115,6 +117,10 @@ pub enum Command {
     EditMap(edit_map::Args),
     /// Make one map of two that overlap
     MergeMaps(merge_maps::Args),
+    /// Hand in sessions that a robot recorded, to a map server or into a folder
+    HandIn(hand_in::Args),
+    /// List sessions that robots recorded for a map
+    ListSessions(list_sessions::Args),
     /// Publish a map as a release in an object store, from which map servers take it
     PublishMap(publish_map::Args),
     /// List the releases of a map
@@ -196,6 +202,8 @@ impl Command {
             Self::Ros2Map(args) => ros2_map::run(args.as_ref()),
             Self::EditMap(args) => edit_map::run(&args),
             Self::MergeMaps(args) => merge_maps::run(&args),
+            Self::HandIn(args) => hand_in::run(&args),
+            Self::ListSessions(args) => list_sessions::run(&args),
             Self::PublishMap(args) => publish_map::run(&args),
             Self::ListReleases(args) => releases::list(&args),
             Self::DiffReleases(args) => releases::diff(&args),

@@ -2,9 +2,9 @@
 //!
 //! | role | may |
 //! |---|---|
-//! | robot | query maps, read their changes, publish below its own name, receive its own sensors |
+//! | robot | query maps, hand in its own sessions, read the changes of maps, publish below its own name, receive its own sensors |
 //! | map server | answer for maps, publish their changes, ask other servers for cells of maps |
-//! | operator | query maps, read what robots and servers publish |
+//! | operator | query maps, hand in sessions, read what robots and servers publish |
 //! | router | forward |
 //!
 //! What is not allowed is denied. The hub applies this to all that comes from a member. A member applies to the hub what
@@ -84,7 +84,7 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
     match member.role {
         Role::Router => vec![(ALL.to_vec(), everything())],
         Role::Robot => vec![
-            (vec!["query"], queries()),
+            (vec!["query"], [queries(), of_maps(&format!("sessions/{name}"))].concat()),
             (vec!["declare_subscriber"], [of_maps("changes"), vec![sensors_of(name)]].concat()),
             (vec!["put"], vec![format!("robot/{name}/*"), sensors_of(name)]),
             (vec!["liveliness_token"], vec![format!("robot/{name}"), format!("robot/{name}/session/*")]),
@@ -103,7 +103,7 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
             (WATCH.to_vec(), [vec![format!("map_server/{name}")], tokens_of_cells("*")].concat()),
         ],
         Role::Operator => vec![
-            (vec!["query"], queries()),
+            (vec!["query"], [queries(), of_maps("sessions/*")].concat()),
             (vec!["declare_subscriber"], [of_maps("changes"), vec!["robot/**".to_owned()]].concat()),
             (WATCH.to_vec(), everything()),
         ],

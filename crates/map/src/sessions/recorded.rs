@@ -21,6 +21,14 @@ pub const MAX_SAMPLES: usize = 1024;
 pub struct ReadingSamples(Vec<u64>);
 
 impl ReadingSamples {
+    /// The samples of these digests, in any order: of too many those with the smallest.
+    pub fn of_digests(mut digests: Vec<u64>) -> Self {
+        digests.sort_unstable();
+        digests.dedup();
+        digests.truncate(MAX_SAMPLES);
+        Self(digests)
+    }
+
     /// The digests.
     pub fn digests(&self) -> &[u64] {
         &self.0

@@ -3,10 +3,8 @@
 //! Numbers are written with all digits: reading gives the same bits back, except for rotations, which are normalized
 //! and come back to 15 digits.
 
-use crate::{
-    CameraSensor, Frame, GnssReading, GnssSensor, ImageData, ImuSensor, SensorCalibration, Sequence,
-    SequenceError,
-};
+use crate::{Frame, GnssReading, GnssSensor, ImageData, SensorCalibration, Sequence, SequenceError};
+use calibration::sensor_yaml::{text_of_camera, text_of_imu};
 use calibration::wheel_yaml::text_of_wheels;
 use geometry::pose::Pose;
 use nalgebra::Vector3;
@@ -99,7 +97,7 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
 /// [`SequenceError::Io`] with the file that could not be written.
 pub fn write_calibration(calibration: &SensorCalibration, root: &Path) -> Result<(), SequenceError> {
     if let Some(imu) = &calibration.imu {
-        write_file(&root.join("mav0/imu0/sensor.yaml"), |out| imu_yaml(out, imu))?;
+        write_file(&root.join("mav0/imu0/sensor.yaml"), |out| out.write_all(text_of_imu(imu).as_bytes()))?;
     }
     if let Some(wheels) = &calibration.wheels {
         write_file(&root.join("mav0/wheels0/sensor.yaml"), |out| {
@@ -111,7 +109,7 @@ pub fn write_calibration(calibration: &SensorCalibration, root: &Path) -> Result
     }
     for (index, camera) in calibration.cameras.iter().enumerate() {
         let path = root.join(format!("mav0/cam{index}/sensor.yaml"));
-        write_file(&path, |out| camera_yaml(out, camera))?;
+        write_file(&path, |out| out.write_all(text_of_camera(camera).as_bytes()))?;
     }
     Ok(())
 }
@@ -157,31 +155,6 @@ fn pose_cells(pose: &Pose) -> String {
     format!("{},{},{},{},{}", vector_cells(&pose.translation), q.w, q.i, q.j, q.k)
 }
 
-fn matrix_yaml(out: &mut impl Write, pose: &Pose) -> std::io::Result<()> {
-    let rotation = pose.rotation.to_rotation_matrix();
-    writeln!(out, "T_BS:\n  cols: 4\n  rows: 4")?;
-    for row in 0..3 {
-        let cells = (0..3).map(|column| rotation[(row, column)].to_string() + ", ").collect::<String>();
-        let opening = if row == 0 { "  data: [" } else { "         " };
-        writeln!(out, "{opening}{cells}{},", pose.translation[row])?;
-    }
-    writeln!(out, "         0.0, 0.0, 0.0, 1.0]")
-}
-
-/// The `sensor.yaml` of an IMU.
-pub(crate) fn imu_yaml(out: &mut impl Write, imu: &ImuSensor) -> std::io::Result<()> {
-    writeln!(out, "sensor_type: imu")?;
-    matrix_yaml(out, &Pose::identity())?;
-    writeln!(out, "rate_hz: {}", imu.rate_hz)?;
-    if let Some(gravity) = imu.gravity_magnitude {
-        writeln!(out, "gravity_magnitude: {gravity}")?;
-    }
-    writeln!(out, "gyroscope_noise_density: {}", imu.noise.gyroscope)?;
-    writeln!(out, "gyroscope_random_walk: {}", imu.noise.gyroscope_walk)?;
-    writeln!(out, "accelerometer_noise_density: {}", imu.noise.accelerometer)?;
-    writeln!(out, "accelerometer_random_walk: {}", imu.noise.accelerometer_walk)
-}
-
 /// Positions with the standard deviations along the axes; correlations between them are not kept.
 fn gnss_rows(out: &mut Out, readings: &[GnssReading]) -> std::io::Result<()> {
     writeln!(out, "#timestamp [ns],x [m],y [m],z [m],sigma_x [m],sigma_y [m],sigma_z [m]")?;
@@ -209,20 +182,6 @@ fn imu_rows(out: &mut Out, sequence: &Sequence) -> std::io::Result<()> {
         let rates = vector_cells(&sample.gyroscope);
         writeln!(out, "{},{rates},{}", sample.stamp_ns, vector_cells(&sample.accelerometer))
     })
-}
-
-fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
-    writeln!(out, "sensor_type: camera")?;
-    matrix_yaml(out, &sensor.imu_from_camera)?;
-    writeln!(out, "rate_hz: {}", sensor.rate_hz)?;
-    if sensor.readout_s != 0.0 {
-        writeln!(out, "line_delay: {}", sensor.readout_s / f64::from(sensor.camera.height))?;
-    }
-    // Larger shifts are in the stamps that are written.
-    if sensor.delay_s() != 0.0 {
-        writeln!(out, "timeshift_cam_imu: {}", sensor.delay_s())?;
-    }
-    write!(out, "{}", calibration::projection_yaml(&sensor.camera))
 }
 
 /// Of a recording without images all frames are listed.

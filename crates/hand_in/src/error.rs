@@ -1,0 +1,118 @@
+//! What can be wrong with a session file.
+
+use std::path::PathBuf;
+
+use calibration::CalibrationError;
+
+/// Why a session file cannot be used: always the file, and what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum HandInError {
+    /// The operating system reports an error.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The error.
+        source: std::io::Error,
+    },
+    /// It is no session file.
+    #[error("{} is no session file of a robot (it does not start with \"DRFTSESS\")", path.display())]
+    OtherFormat {
+        /// The file.
+        path: PathBuf,
+    },
+    /// It has another schema.
+    #[error(
+        "{} has schema {found}, this program reads {expected}: update the older of the robot and this program",
+        path.display()
+    )]
+    Schema {
+        /// The file.
+        path: PathBuf,
+        /// Of the file.
+        found: u16,
+        /// Of this program.
+        expected: u16,
+    },
+    /// The file was cut off before anything was recorded.
+    #[error("{} was cut off before its header was written: nothing was recorded, delete it", path.display())]
+    NoHeader {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The header cannot be read.
+    #[error("{}: the header: {source}", path.display())]
+    Header {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: serde_json::Error,
+    },
+    /// The header states what cannot be.
+    #[error("{}: the header: {problem}", path.display())]
+    HeaderValue {
+        /// The file.
+        path: PathBuf,
+        /// What.
+        problem: &'static str,
+    },
+    /// The calibration in the header cannot be used.
+    #[error("{}: {source}", path.display())]
+    Calibration {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: CalibrationError,
+    },
+    /// The file cannot be signed.
+    #[error("{} cannot be signed: {source}", path.display())]
+    Sign {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: signing::SignError,
+    },
+    /// The signature is missing or wrong.
+    #[error("{}: {source}", path.display())]
+    Signature {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: signing::SignatureError,
+    },
+    /// A block that is whole holds what cannot be.
+    #[error("{}: the block at byte {offset}: {source}; the robot that wrote it has another version or a fault", path.display())]
+    Chunk {
+        /// The file.
+        path: PathBuf,
+        /// Where the block begins.
+        offset: u64,
+        /// What is wrong.
+        source: ChunkError,
+    },
+}
+
+/// What is wrong with a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ChunkError {
+    /// Something is announced that is not there.
+    #[error("it is shorter than it says")]
+    TooShort,
+    /// Something follows its end.
+    #[error("{0} bytes follow its end")]
+    TooLong(usize),
+    /// An integer of more than 64 bits.
+    #[error("an integer has more than 64 bits")]
+    Integer,
+    /// Times do not ascend.
+    #[error("its times do not ascend")]
+    Order,
+    /// A number that cannot be.
+    #[error("{0} is out of range")]
+    Range(&'static str),
+    /// A kind of block that this version does not know.
+    #[error("blocks of kind {0} are not known")]
+    Kind(u8),
+}

@@ -1,0 +1,294 @@
+//! The inbox: a folder that sessions are handed in to, part by part, with limits.
+//!
+//! ```text
+//! DIR/ROBOT/DIGEST_TOTAL.part    what has been received of a file: its bytes from the beginning on
+//! DIR/ROBOT/DIGEST.session       a file that is complete: digest, form, robot and signature were checked
+//! ```
+//! Whatever stops the program, a file is one or the other. A part that is sent again changes nothing.
+
+use std::fmt::Write as _;
+use std::fs::{File, TryLockError};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use protocol::{SessionPart, Validate as _, keys};
+use sha2::{Digest as _, Sha256};
+use signing::{PublicKey, PublicKeyError};
+
+use crate::error::HandInError;
+use crate::reading::Session;
+use crate::signature::verify;
+
+/// The file that says that a program uses the inbox.
+const LOCK: &str = ".lock";
+/// How the name of a complete session ends.
+const COMPLETE: &str = "session";
+/// How the name of an incomplete one ends.
+const INCOMPLETE: &str = "part";
+/// Files that a robot may have begun to hand in; of more the one is removed that has waited longest.
+const MOST_INCOMPLETE: usize = 4;
+
+/// Settings of an inbox.
+#[derive(Clone, Debug)]
+pub struct InboxSettings {
+    /// The folder.
+    pub folder: PathBuf,
+    /// Bytes that a robot may have there.
+    pub bytes_of_robot: u64,
+    /// Bytes that all robots together may have there.
+    pub bytes_in_all: u64,
+    /// Folder with the public key `ROBOT.pub` of each robot: only sessions that are signed with it are taken. `None` takes all.
+    pub keys: Option<PathBuf>,
+}
+
+/// What an inbox has of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Received {
+    /// Bytes of it, from the beginning on.
+    pub bytes: u64,
+    /// It is complete and on the disk.
+    pub is_complete: bool,
+}
+
+/// Why a part is not taken.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InboxError {
+    /// The disk of the inbox fails, or is full.
+    #[error("the inbox: {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The error.
+        source: std::io::Error,
+    },
+    /// Another program uses it.
+    #[error("the inbox {} is used by another program: hand in to that server, or stop it first", folder.display())]
+    InUse {
+        /// Its folder.
+        folder: PathBuf,
+    },
+    /// A robot or a part that cannot be.
+    #[error("{0}")]
+    Invalid(String),
+    /// There is no room.
+    #[error(
+        "{whose} sessions in the inbox have {used} bytes, and may have {most}: extend the map by some and delete them, or raise {switch}"
+    )]
+    Full {
+        /// Whose.
+        whose: &'static str,
+        /// What they have, with this one.
+        used: u64,
+        /// What they may have.
+        most: u64,
+        /// The setting.
+        switch: &'static str,
+    },
+    /// The file is no session, or not signed by its robot.
+    #[error("refused: {0}")]
+    Session(#[from] HandInError),
+    /// The session is another robot's.
+    #[error("refused: the session was recorded by {recorded_by:?}, and {robot:?} hands it in")]
+    OtherRobot {
+        /// Who recorded it.
+        recorded_by: String,
+        /// Who hands it in.
+        robot: String,
+    },
+    /// There is no key of the robot.
+    #[error(
+        "refused: this inbox takes signed sessions only, and the key of {robot:?} cannot be read: {source}"
+    )]
+    Key {
+        /// The robot.
+        robot: String,
+        /// Why.
+        source: PublicKeyError,
+    },
+}
+
+/// A folder that sessions are handed in to. One program may use it at a time.
+#[derive(Debug)]
+pub struct Inbox {
+    settings: InboxSettings,
+    /// Held as long as this value lives, and by no other program.
+    _lock: File,
+}
+
+impl Inbox {
+    /// Opens an inbox, whose folder is made where it is missing.
+    ///
+    /// # Errors
+    /// [`InboxError::Io`], [`InboxError::InUse`].
+    pub fn open(settings: InboxSettings) -> Result<Self, InboxError> {
+        let folder = &settings.folder;
+        let of_folder = |source| InboxError::Io { path: folder.clone(), source };
+        std::fs::create_dir_all(folder).map_err(of_folder)?;
+        let lock = File::create(folder.join(LOCK)).map_err(of_folder)?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Self { settings, _lock: lock }),
+            Err(TryLockError::WouldBlock) => Err(InboxError::InUse { folder: folder.clone() }),
+            Err(TryLockError::Error(source)) => Err(of_folder(source)),
+        }
+    }
+
+    /// Takes a part of a file.
+    ///
+    /// # Returns
+    /// What the inbox has now: a part that does not begin there is not taken.
+    ///
+    /// # Errors
+    /// [`InboxError`]. A file that is refused is removed.
+    pub fn take(&mut self, robot: &str, part: &SessionPart) -> Result<Received, InboxError> {
+        keys::validate_name(robot).map_err(|error| InboxError::Invalid(error.to_string()))?;
+        if robot.starts_with('.') {
+            return Err(InboxError::Invalid(format!("the name {robot:?} begins with a dot")));
+        }
+        part.validate().map_err(|error| InboxError::Invalid(error.to_string()))?;
+        let folder = self.settings.folder.join(robot);
+        let digest = hexadecimal(&part.digest);
+        let complete = folder.join(format!("{digest}.{COMPLETE}"));
+        if complete.exists() {
+            return Ok(Received { bytes: part.total_bytes, is_complete: true });
+        }
+        let incomplete = folder.join(format!("{digest}_{}.{INCOMPLETE}", part.total_bytes));
+        let of_part = |source| InboxError::Io { path: incomplete.clone(), source };
+        let received = incomplete.metadata().map_or(0, |metadata| metadata.len());
+        if received != part.offset || part.bytes.is_empty() {
+            return Ok(Received { bytes: received.min(part.total_bytes), is_complete: false });
+        }
+        if received == 0 {
+            std::fs::create_dir_all(&folder).map_err(of_part)?;
+            self.make_room(&folder, part.total_bytes, &incomplete)?;
+        }
+        let append = || {
+            let mut file = File::options().create(true).append(true).open(&incomplete)?;
+            file.write_all(&part.bytes).inspect_err(|_| {
+                // A full disk: as if nothing had come.
+                let _ = file.set_len(received);
+            })
+        };
+        append().map_err(of_part)?;
+        let bytes = received + part.bytes.len() as u64;
+        if bytes < part.total_bytes {
+            return Ok(Received { bytes, is_complete: false });
+        }
+        self.finish(robot, part, &incomplete, &complete)
+    }
+
+    /// Checks a file that has been received, and makes it a session.
+    fn finish(
+        &self,
+        robot: &str,
+        part: &SessionPart,
+        incomplete: &Path,
+        complete: &Path,
+    ) -> Result<Received, InboxError> {
+        let of_part = |source| InboxError::Io { path: incomplete.to_owned(), source };
+        let bytes = files::read(incomplete, part.total_bytes).map_err(of_part)?;
+        if Sha256::digest(&bytes)[..] != part.digest {
+            std::fs::remove_file(incomplete).map_err(of_part)?;
+            tracing::warn!(robot, "a session was damaged on its way and is handed in again");
+            return Ok(Received { bytes: 0, is_complete: false });
+        }
+        if let Err(error) = self.check(robot, complete, &bytes) {
+            std::fs::remove_file(incomplete).map_err(of_part)?;
+            return Err(error);
+        }
+        let keep = || {
+            File::open(incomplete)?.sync_all()?;
+            std::fs::rename(incomplete, complete)?;
+            // The name, too, is on the disk before it is acknowledged.
+            complete.parent().map_or(Ok(()), |folder| File::open(folder)?.sync_all())
+        };
+        keep().map_err(of_part)?;
+        Ok(Received { bytes: part.total_bytes, is_complete: true })
+    }
+
+    fn check(&self, robot: &str, path: &Path, bytes: &[u8]) -> Result<(), InboxError> {
+        let session = Session::of_bytes(path, bytes)?;
+        if session.header.robot != robot {
+            let (recorded_by, robot) = (session.header.robot, robot.to_owned());
+            return Err(InboxError::OtherRobot { recorded_by, robot });
+        }
+        if session.recorded.is_none() {
+            return Err(HandInError::NoHeader { path: path.to_owned() }.into());
+        }
+        let Some(keys) = &self.settings.keys else { return Ok(()) };
+        let file = keys.join(format!("{robot}.pub"));
+        let key: PublicKey = file
+            .to_string_lossy()
+            .parse()
+            .map_err(|source| InboxError::Key { robot: robot.to_owned(), source })?;
+        Ok(verify(&session, bytes, &key)?)
+    }
+
+    /// Checks that there is room for a file that is begun.
+    fn make_room(&self, folder: &Path, bytes: u64, begun: &Path) -> Result<(), InboxError> {
+        let mut incomplete: Vec<(SystemTime, PathBuf)> = sizes(folder)?
+            .into_iter()
+            .filter(|(path, _)| path.extension().is_some_and(|of| of == INCOMPLETE) && path != begun)
+            .filter_map(|(path, _)| Some((path.metadata().ok()?.modified().ok()?, path)))
+            .collect();
+        incomplete.sort();
+        let too_many = (incomplete.len() + 1).saturating_sub(MOST_INCOMPLETE);
+        for (_, path) in &incomplete[..too_many] {
+            std::fs::remove_file(path).map_err(|source| InboxError::Io { path: path.clone(), source })?;
+        }
+        let sum = |sizes: Vec<(PathBuf, u64)>| {
+            sizes.iter().filter(|(path, _)| path != begun).map(|(_, size)| size).sum::<u64>() + bytes
+        };
+        let InboxSettings { folder: root, bytes_of_robot, bytes_in_all, .. } = &self.settings;
+        let used = sum(sizes(folder)?);
+        if used > *bytes_of_robot {
+            let (most, switch) = (*bytes_of_robot, "--inbox-robot-limit");
+            return Err(InboxError::Full { whose: "this robot's", used, most, switch });
+        }
+        let mut all = Vec::new();
+        let entries = std::fs::read_dir(root)
+            .and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>());
+        for of_robot in entries.map_err(|source| InboxError::Io { path: root.clone(), source })? {
+            if of_robot.is_dir() {
+                all.extend(sizes(&of_robot)?);
+            }
+        }
+        let used = sum(all);
+        if used > *bytes_in_all {
+            let (most, switch) = (*bytes_in_all, "--inbox-limit");
+            return Err(InboxError::Full { whose: "all", used, most, switch });
+        }
+        Ok(())
+    }
+}
+
+/// The files of a folder with their bytes, of incomplete ones those that they will have.
+fn sizes(folder: &Path) -> Result<Vec<(PathBuf, u64)>, InboxError> {
+    let of_file = |path: PathBuf| {
+        let announced = path
+            .file_stem()
+            .filter(|_| path.extension().is_some_and(|of| of == INCOMPLETE))
+            .and_then(|stem| stem.to_str()?.rsplit_once('_')?.1.parse().ok());
+        let size = announced.map_or_else(|| path.metadata().map(|metadata| metadata.len()), Ok)?;
+        Ok((path, size))
+    };
+    let read = || -> std::io::Result<Vec<(PathBuf, u64)>> {
+        std::fs::read_dir(folder)?.map(|entry| of_file(entry?.path())).collect()
+    };
+    read().map_err(|source| InboxError::Io { path: folder.to_owned(), source })
+}
+
+/// Two digits a byte.
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+/// The SHA-256 of the bytes of a file.
+pub fn digest_of(bytes: &[u8]) -> [u8; 32] {
+    Sha256::digest(bytes).into()
+}

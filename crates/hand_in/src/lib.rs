@@ -1,0 +1,40 @@
+//! Session files: what a robot records of a drive for the map, and hands in.
+//!
+//! A session has what a map can be extended by: readings of the IMU, tracked points, the features of keyframe candidates, and which
+//! landmarks of the map were matched with them. It has no poses: what came out of a map does not go into it again.
+//!
+//! | module | what |
+//! |---|---|
+//! | `reading`, `writing` | [`Session`], [`SessionWriter`]: files, cut off without harm |
+//! | `header` | [`Header`]: robot, sensors, extractor |
+//! | `chunk` | [`Chunk`]: some seconds of a session |
+//! | `block`, `bytes` | blocks with checksums; integers of variable length |
+//! | `signature` | [`sign`], [`verify`] |
+//! | [`inbox`] | [`Inbox`]: the folder that sessions are handed in to |
+//! | `error` | [`HandInError`], [`ChunkError`] |
+//!
+//! The format is described in the book, "Session files".
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod block;
+mod bytes;
+mod chunk;
+mod error;
+mod header;
+pub mod inbox;
+mod reading;
+mod signature;
+mod writing;
+
+pub use chunk::{Answer, AnsweredMatch, Chunk, RecordedSoFar, SessionFrame};
+pub use error::{ChunkError, HandInError};
+pub use header::Header;
+pub use inbox::{Inbox, InboxError, InboxSettings, Received};
+pub use reading::Session;
+pub use signature::{sign, verify};
+pub use writing::SessionWriter;
+
+/// How a session file begins.
+const MAGIC: &[u8; 8] = b"DRFTSESS";
+/// Version of the format.
+const SCHEMA: u16 = 1;

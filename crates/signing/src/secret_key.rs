@@ -1,0 +1,94 @@
+//! Secret keys.
+
+use std::path::{Path, PathBuf};
+
+/// A secret key cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("the key {} cannot be used: {reason}", file.display())]
+pub struct KeyError {
+    /// File of the key.
+    pub file: PathBuf,
+    /// Why not.
+    pub reason: Box<dyn std::error::Error + Send + Sync>,
+}
+
+/// Something cannot be signed: the error of minisign.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct SignError(Box<dyn std::error::Error + Send + Sync>);
+
+/// A secret key.
+pub struct SecretKey(minisign::SecretKey);
+
+impl std::fmt::Debug for SecretKey {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("SecretKey(..)")
+    }
+}
+
+impl SecretKey {
+    /// Reads a key that minisign or [`SecretKey::generate`] wrote.
+    ///
+    /// # Arguments
+    /// * `password`: of a key that is encrypted.
+    ///
+    /// # Errors
+    /// [`KeyError`].
+    pub fn read(file: &Path, password: Option<String>) -> Result<Self, KeyError> {
+        let failed = |reason| KeyError { file: file.to_owned(), reason };
+        let text = files::read_to_string(file).map_err(|error| failed(error.into()))?;
+        let sealed = || minisign::SecretKeyBox::from_string(&text).map_err(|error| failed(error.into()));
+        let key = match password {
+            Some(password) => sealed()?.into_secret_key(Some(password)),
+            None => sealed()?.into_unencrypted_secret_key(),
+        };
+        key.map(Self).map_err(|error| failed(error.into()))
+    }
+
+    /// Writes a new key to `file`, readable by its owner only, and the public one beside it, with `.pub`.
+    ///
+    /// # Errors
+    /// [`KeyError`]: files that exist, or cannot be written.
+    pub fn generate(file: &Path) -> Result<PathBuf, KeyError> {
+        use std::io::Write as _;
+        let public_file = file.with_added_extension("pub");
+        let failed = |failed: &Path, error: minisign::PError| KeyError {
+            file: failed.to_owned(),
+            reason: error.into(),
+        };
+        let pair = minisign::KeyPair::generate_unencrypted_keypair().map_err(|error| failed(file, error))?;
+        let secret = pair.sk.to_box(None).map_err(|error| failed(file, error))?.to_bytes();
+        let public = pair.pk.to_box().map_err(|error| failed(&public_file, error))?.to_bytes();
+        for (path, bytes, mode) in [(file, secret, 0o600), (public_file.as_path(), public, 0o644)] {
+            let mut options = std::fs::File::options();
+            options.write(true).create_new(true);
+            #[cfg(unix)]
+            std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
+            #[cfg(not(unix))]
+            let _ = mode;
+            let written = options.open(path).and_then(|mut opened| opened.write_all(&bytes));
+            written.map_err(|error| KeyError { file: path.to_owned(), reason: error.into() })?;
+        }
+        Ok(public_file)
+    }
+
+    /// The signature of some bytes.
+    ///
+    /// # Errors
+    /// [`SignError`]: a fault of minisign.
+    ///
+    /// ```
+    /// let folder = tempfile::tempdir()?;
+    /// let public = signing::SecretKey::generate(&folder.path().join("robot.key"))?;
+    /// let secret = signing::SecretKey::read(&folder.path().join("robot.key"), None)?;
+    /// let key: signing::PublicKey = std::fs::read_to_string(public)?.lines().nth(1).unwrap_or_default().parse()?;
+    /// let signature = secret.sign(b"a session")?;
+    /// assert!(key.verify(b"a session", &signature).is_ok());
+    /// assert!(key.verify(b"another session", &signature).is_err());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn sign(&self, bytes: &[u8]) -> Result<Vec<u8>, SignError> {
+        let signature = minisign::sign(None, &self.0, bytes, None, None);
+        signature.map(|signature| signature.to_bytes()).map_err(|error| SignError(error.into()))
+    }
+}

@@ -1,0 +1,241 @@
+//! Laws of what is recorded.
+
+use super::folder;
+use super::recording_thread::{Item, record};
+use super::session_builder::SessionBuilder;
+use super::settings::HandInSettings;
+use estimator::{ImuSample, TrackObservation};
+use geometry::{Camera, Distortion, Pose};
+use hand_in::{Answer, AnsweredMatch, Chunk, Header, Session};
+use map::sessions::RecordedDigest;
+use nalgebra::{Vector2, Vector3};
+use protocol::{DescriptorKind, Descriptors, FeatureSet, MapIdentity};
+use sensors::{CameraSensor, ImuNoise, ImuSensor};
+use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+const IMAGE_NS: i64 = 50_000_000;
+
+fn settings(folder: &Path, bytes_per_minute: f64, session_length: Duration) -> HandInSettings {
+    let camera = Camera {
+        width: 640,
+        height: 480,
+        focal: [400.0; 2],
+        centre: [320.0, 240.0],
+        distortion: Distortion::None,
+    };
+    let imu =
+        ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None, intrinsics: None };
+    let header = Header {
+        robot: "ada".to_owned(),
+        name: String::new(),
+        program: "test".to_owned(),
+        started_unix_s: 0,
+        imu,
+        cameras: vec![CameraSensor::new(camera, Pose::identity(), 20.0); 2],
+    };
+    let folder = folder.to_owned();
+    HandInSettings {
+        folder,
+        header,
+        key: None,
+        bytes_per_minute,
+        session_length,
+        most_bytes: 1_000_000,
+        realtime: false,
+    }
+}
+
+fn reading(at: i64) -> ImuSample {
+    let value = |axis: i64| ((at * 7 + axis) as f64 * 0.37).sin();
+    ImuSample {
+        stamp_ns: at * 5_000_000 + 1_000_000,
+        gyroscope: Vector3::new(value(0), value(1), value(2)),
+        accelerometer: Vector3::new(value(3), value(4), 9.81 + value(5)),
+    }
+}
+
+/// A drive of some images at 20 Hz: points that are seen in 40 images each, and of every tenth image features and an answer.
+fn drive(images: i64) -> Vec<Item> {
+    let mut items = Vec::new();
+    for image in 0..images {
+        let stamp_ns = image * IMAGE_NS;
+        items.extend((10 * image - 10..10 * image).map(|at| Item::Reading(reading(at))));
+        items.push(Item::Image(stamp_ns));
+        let tracks = (0..200_u64).map(|point| {
+            let feature_id = point * 1000 + (image as u64 + point) / 40;
+            TrackObservation { camera: 0, feature_id, pixel: Vector2::new(point as f64 * 3.0, image as f64) }
+        });
+        items.push(Item::Tracks(stamp_ns, tracks.collect()));
+        items.push(Item::Pose(stamp_ns, Pose::from_translation(image as f64 * 0.05)));
+        if image % 10 == 0 {
+            let features = FeatureSet {
+                pixels: (0..500).map(|at| [at as f32, 7.0]).collect(),
+                descriptors: Descriptors {
+                    kind: DescriptorKind::Int8,
+                    width: 64,
+                    bytes: vec![image as u8; 500 * 64],
+                },
+                extractor: "test-1".to_owned(),
+            };
+            items.push(Item::Features(stamp_ns, features));
+            items.push(Item::Answer(Answer {
+                stamp_ns,
+                map_identity: MapIdentity::from_bytes([1; 16]),
+                map_version: 1,
+                inliers: 2,
+                used: 2,
+                accepted: true,
+                matches: [3, 499]
+                    .map(|feature| AnsweredMatch { feature, landmark: 10, keyframe: 2 })
+                    .to_vec(),
+            }));
+        }
+    }
+    items
+}
+
+/// A pose along x.
+trait Along {
+    fn from_translation(x: f64) -> Self;
+}
+
+impl Along for Pose {
+    fn from_translation(x: f64) -> Self {
+        Self::new(nalgebra::UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0))
+    }
+}
+
+fn recorded(settings: &HandInSettings, items: Vec<Item>) -> Vec<Session> {
+    let (sender, receiver) = sync_channel(items.len());
+    for item in items {
+        sender.send(item).unwrap();
+    }
+    drop(sender);
+    record(settings, &receiver).unwrap();
+    let mut paths: Vec<_> =
+        std::fs::read_dir(&settings.folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths.iter().map(|path| Session::open(path).unwrap()).collect()
+}
+
+const LONG: Duration = Duration::from_hours(1);
+
+#[test]
+fn a_session_has_the_identity_that_the_ledger_gives_to_the_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = recorded(&settings(folder.path(), 9e5, LONG), drive(400));
+    assert_eq!(sessions.len(), 1);
+    let mut digest = RecordedDigest::default();
+    let end_ns = 399 * IMAGE_NS;
+    for reading in (-10..4000).map(reading).filter(|reading| (0..end_ns).contains(&reading.stamp_ns)) {
+        let [[a, b, c], [d, e, f]] = [reading.gyroscope, reading.accelerometer].map(<[f64; 3]>::from);
+        digest.add_reading(reading.stamp_ns, [a, b, c, d, e, f]);
+    }
+    (0..400).for_each(|image| digest.add_image(image * IMAGE_NS));
+    let whole = digest.finish();
+    let so_far = sessions[0].recorded.clone().unwrap();
+    assert_eq!(so_far.id, whole.id.to_bytes());
+    assert_eq!((so_far.begin_ns, so_far.end_ns), (0, end_ns));
+    let mut samples = so_far.new_samples;
+    samples.sort_unstable();
+    assert_eq!(samples, whole.samples.digests());
+}
+
+#[test]
+fn pieces_of_a_drive_have_no_reading_in_common_and_one_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = recorded(&settings(folder.path(), 9e5, Duration::from_secs(10)), drive(700));
+    assert!(sessions.len() >= 3, "{}", sessions.len());
+    let mut samples: Vec<u64> = Vec::new();
+    for session in &sessions {
+        let so_far = session.recorded.clone().unwrap();
+        assert!(so_far.new_samples.iter().all(|sample| !samples.contains(sample)));
+        samples.extend(so_far.new_samples);
+        assert!(session.readings[0].stamp_ns <= session.frames[0].stamp_ns + 5_000_000);
+        assert!(session.is_ended);
+    }
+    for pair in sessions.windows(2) {
+        assert!(pair[0].frames.last().unwrap().stamp_ns < pair[1].frames[0].stamp_ns);
+    }
+}
+
+#[test]
+fn a_minute_takes_no_more_than_its_budget_and_candidates_have_what_was_matched() {
+    for bytes_per_minute in [4e5, 9e5] {
+        let folder = tempfile::tempdir().unwrap();
+        let sessions = recorded(&settings(folder.path(), bytes_per_minute, LONG), drive(2400));
+        let session = &sessions[0];
+        let of_minute = session.whole_bytes as f64 / session.seconds() * 60.0;
+        assert!(of_minute < bytes_per_minute * 1.05, "{of_minute} of {bytes_per_minute}");
+        assert!(session.candidates() > 5, "{}", session.candidates());
+        assert_eq!(session.answers.len(), session.candidates());
+        for answer in &session.answers {
+            let frame = session.frames.iter().find(|frame| frame.stamp_ns == answer.stamp_ns).unwrap();
+            let features = frame.features.as_ref().unwrap();
+            assert!(features.len() <= 250);
+            // The pixel says which feature it was.
+            let of_matches = answer.matches.iter().map(|found| features.pixels[found.feature as usize][0]);
+            assert_eq!(of_matches.collect::<Vec<_>>(), [3.0, 499.0]);
+        }
+        let intervals = session.frames.windows(2).map(|pair| pair[1].stamp_ns - pair[0].stamp_ns);
+        assert!(intervals.max().unwrap() <= 300_000_000);
+        let long = session.frames.iter().map(|frame| frame.tracks.len()).max().unwrap();
+        assert!(long > 40 && long <= 80, "{long}");
+    }
+}
+
+#[test]
+fn images_wait_in_bounded_memory() {
+    let mut builder = SessionBuilder::new(9e5);
+    // A clock that stands still: nothing is ever old enough.
+    let chunks: Vec<Chunk> = (0..3000)
+        .filter_map(|at| {
+            builder.image(at);
+            builder.next_chunk()
+        })
+        .collect();
+    assert!(chunks.is_empty());
+    let last = builder.end_session().unwrap();
+    assert_eq!(last.recorded.images, 3000);
+}
+
+#[test]
+fn what_a_killed_robot_left_becomes_a_session_and_what_another_one_records_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let of_robot = settings(path, 9e5, LONG);
+    let whole = recorded(&of_robot, drive(400)).remove(0);
+    let bytes = std::fs::read(&whole.path).unwrap();
+    std::fs::remove_file(&whole.path).unwrap();
+    let left = |name: &str, length: usize| {
+        let path = path.join(name);
+        std::fs::write(&path, &bytes[..length]).unwrap();
+        path
+    };
+    let cut = left("ada_1_1.recording", bytes.len() - 1000);
+    let empty = left("ada_1_2.recording", 7);
+    let of_other = left("bob_1_1.recording", bytes.len() - 1000);
+    let _lock = folder::lock(&of_other).unwrap();
+    folder::recover(path, None).unwrap();
+    assert!(!cut.exists() && !empty.exists() && of_other.exists());
+    let recovered = Session::open(&path.join("ada_1_1.session")).unwrap();
+    assert!(!recovered.is_ended && !recovered.frames.is_empty());
+    assert_eq!(recovered.whole_bytes, recovered.path.metadata().unwrap().len());
+    assert!(!path.join("ada_1_2.session").exists());
+}
+
+#[test]
+fn a_folder_that_is_full_ends_the_recording_and_says_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("old.session"), vec![0; 1_000_001]).unwrap();
+    let settings = settings(folder.path(), 9e5, LONG);
+    let (sender, receiver) = sync_channel(1 << 14);
+    for item in drive(400) {
+        sender.send(item).unwrap();
+    }
+    drop(sender);
+    let error = record(&settings, &receiver).unwrap_err().to_string();
+    assert!(error.contains("1000001 bytes") && error.contains("driftless hand-in"), "{error}");
+}
