@@ -42,13 +42,12 @@ pub(crate) async fn publish(session: &Session, mut notice: MapChangeNotice) -> R
         notice.keyframe_motions.clear();
         payload = encoded(&notice)?;
     }
-    let payload = match payload {
-        Some(payload) => payload,
-        None => {
-            let (changed, moved, removed) = (Vec::new(), Vec::new(), Vec::new());
-            let short = MapChangeNotice { changed, moved, removed, stated_change: None, ..notice };
-            protocol::encode(Format::Bincode, &short)?
-        }
+    let payload = if let Some(payload) = payload {
+        payload
+    } else {
+        let (changed, moved, removed) = (Vec::new(), Vec::new(), Vec::new());
+        let short = MapChangeNotice { changed, moved, removed, stated_change: None, ..notice };
+        protocol::encode(Format::Bincode, &short)?
     };
     let publication = session.put(key, payload).encoding(Encoding::from(Format::Bincode.encoding()));
     publication.congestion_control(CongestionControl::Block).await?;
