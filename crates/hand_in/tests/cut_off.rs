@@ -1,6 +1,6 @@
 //! Files that were cut off, damaged or made up.
 
-use crate::made::write;
+use crate::example_session::write;
 use hand_in::{HandInError, Session};
 use proptest::prelude::*;
 use std::path::Path;

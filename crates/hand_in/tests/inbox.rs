@@ -1,6 +1,6 @@
 //! Laws of the inbox.
 
-use crate::made::{chunk, header, write};
+use crate::example_session::{chunk, header, write};
 use hand_in::inbox::digest_of;
 use hand_in::{HandInError, Inbox, InboxError, InboxSettings, Session, SessionWriter};
 use proptest::prelude::*;

@@ -2,6 +2,6 @@
 #![allow(clippy::unwrap_used)]
 
 mod cut_off;
+mod example_session;
 mod inbox;
-mod made;
 mod round_trip;

@@ -1,6 +1,6 @@
 //! What is written is read, within the rounding that is stated.
 
-use crate::made::{chunk, header, steps, write};
+use crate::example_session::{chunk, header, steps, write};
 use hand_in::{Chunk, HandInError, Session, SessionWriter};
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;

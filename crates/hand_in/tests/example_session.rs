@@ -1,4 +1,4 @@
-//! Sessions that are made up.
+//! A session for tests: its header, chunks and readings.
 
 use calibration::{CameraSensor, ImuSensor};
 use geometry::{Camera, Distortion, Pose};
