@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId, LocalizeReply, LocalizeRequest};
-use vision::{Match, MatchOptions, Matcher};
+use vision::{Match, Matcher};
 
 use super::consensus::{Consensus, find_consensus, group_places};
 use super::index::{Votes, best_voted};
@@ -219,7 +219,7 @@ impl Inspector<'_> {
 
     fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
         let keyframe = &self.map.keyframes[at];
-        let match_options = MatchOptions::for_metric(self.map.metric());
+        let match_options = self.map.match_options();
         let mut matcher = Matcher::new(self.image.descriptors);
         let matches = matcher.matches(self.map.descriptors_of(at)?, &match_options)?;
         let comparison = compare(self.map, at, &self.image, &mut matcher, None, self.options)?;

@@ -30,6 +30,7 @@ mod consensus;
 mod cross_covariances;
 mod elements;
 mod evidence;
+mod extractor_statistics;
 mod frozen;
 mod fusion;
 mod index;

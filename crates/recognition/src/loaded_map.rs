@@ -6,11 +6,12 @@ use std::sync::OnceLock;
 use nalgebra::{Matrix6, Vector3};
 use protocol::{KeyframeId, MapIdentity};
 use serde::{Deserialize, Serialize};
-use vision::{DescriptorError, DescriptorView, Metric};
+use vision::{DescriptorError, DescriptorView, MatchOptions, Metric};
 
 use super::cross_covariances::CrossCovariances;
 use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
 use super::evidence::AliasingRate;
+use super::extractor_statistics::ExtractorStatistics;
 use super::index::LandmarkIndex;
 use super::loading::MapLoader;
 use map::contents::{ContentsError, MapContents, ObservationCounts};
@@ -247,6 +248,11 @@ impl LoadedMap {
     /// How the map's descriptors are compared.
     pub(crate) fn metric(&self) -> Metric {
         vision::metric_of(self.info.descriptor_kind)
+    }
+
+    /// Conditions on matches of an image with a keyframe.
+    pub(crate) fn match_options(&self) -> MatchOptions {
+        ExtractorStatistics::of(&self.info.extractor).match_options(MatchOptions::for_metric(self.metric()))
     }
 
     /// The descriptors of the landmarks that a keyframe observes, in the order of [`Observations::of`].

@@ -4,7 +4,7 @@ use geometry::pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOption
 use geometry::{Camera, Pose, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
-use vision::{DescriptorError, DescriptorView, Match, MatchOptions, Matcher};
+use vision::{DescriptorError, DescriptorView, Match, Matcher};
 
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -90,7 +90,7 @@ pub(crate) fn compare(
     expected: Option<&Pose>,
     options: &RecognitionOptions,
 ) -> Result<Comparison, DescriptorError> {
-    let match_options = MatchOptions::for_metric(map.metric());
+    let match_options = map.match_options();
     let matches = matcher.matches(map.descriptors_of(keyframe)?, &match_options)?;
     if matches.len() < options.min_inliers {
         return Ok(Comparison::TooFewMatches { matches: matches.len() });

@@ -102,6 +102,42 @@ fn a_place_of_which_half_has_changed_is_still_found() {
     assert!(found >= 18, "{found}");
 }
 
+#[test]
+fn of_learned_features_only_what_fits_the_claimed_pose_well_confirms_a_part() {
+    let place = dense_place();
+    let map_of = |extractor: &str| {
+        let mut contents = place.map.clone();
+        contents.info.extractor = extractor.to_owned();
+        LoadedMap::from_contents(contents).unwrap()
+    };
+    let options = RecognitionOptions::default();
+    let mut rng = StdRng::seed_from_u64(33);
+    for _ in 0..5 {
+        let truth = pose(&place, &mut rng);
+        let mut request = request(&place, &truth, &mut rng, |_| true);
+        let mut confirmed = |request: &LocalizeRequest| {
+            ["sift-1", "edgepoint2-1"].map(|extractor| {
+                let mut request = request.clone();
+                request.features.extractor = extractor.to_owned();
+                let (_, report) = map_of(extractor).localize_with_report(&request, &options).unwrap();
+                report.hypotheses[0].coverage.of_image().confirmed as f64
+            })
+        };
+        let [classical, learned] = confirmed(&request);
+        assert!(learned >= 0.9 * classical, "{learned}, {classical}");
+        // What one half of the image shows is nearly where an inlier is no longer one.
+        let off = 0.8 * options.inlier_angle * request.camera.focal[0];
+        let half = f64::from(request.camera.width) / 2.0;
+        for pixel in request.features.pixels.iter_mut().filter(|pixel| f64::from(pixel[0]) < half) {
+            let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+            pixel[0] += (off * angle.cos()) as f32;
+            pixel[1] += (off * angle.sin()) as f32;
+        }
+        let [classical, learned] = confirmed(&request);
+        assert!(learned <= 0.75 * classical, "{learned}, {classical}");
+    }
+}
+
 /// The same hall once more beside itself, with landmarks and keyframes of its own.
 fn twice(once: &MapContents, beside: Vector3<f64>) -> MapContents {
     let (keyframes, landmarks) = (1000, 1_000_000);

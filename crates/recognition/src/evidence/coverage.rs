@@ -1,13 +1,15 @@
 //! In which parts of an image matches confirm what the map expects there.
 
+use geometry::pnp::Correspondence;
 use geometry::{Camera, Pose};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
 
 use super::expected::expected_landmarks;
 use super::grid::Grid;
 use super::likelihood::log_likelihood_ratio;
 use super::picture::Picture;
+use crate::extractor_statistics::ExtractorStatistics;
 use crate::loaded_map::LoadedMap;
 use crate::verification::VerifiedKeyframe;
 
@@ -31,6 +33,8 @@ pub struct Coverage {
     pub parts: usize,
     /// Parts that a picture of two square metres would fill where the inliers are: the nearer it is, the more.
     pub picture: f64,
+    /// Chance that a picture that repeats confirms another part beyond it, by the extractor of the map.
+    pub chance_beyond: f64,
 }
 
 /// Parts of an image.
@@ -71,7 +75,9 @@ pub(crate) fn coverage(
     place: &[&VerifiedKeyframe],
 ) -> Coverage {
     let expected = expected_landmarks(map, camera, global_from_camera, place);
-    let inliers = distinct_inliers(map, place);
+    let statistics = ExtractorStatistics::of(&map.info.extractor);
+    let is_confirming = |error_px: f64| error_px <= statistics.confirming_angle * mean_focal(camera);
+    let inliers = distinct_inliers(map, camera, features, global_from_camera, place, is_confirming);
     let points: Vec<Vector3<f64>> = inliers.iter().map(|(_, in_global)| *in_global).collect();
     let Some(picture) = Picture::of_most(&points, &global_from_camera.translation) else {
         return Coverage::default();
@@ -89,6 +95,7 @@ pub(crate) fn coverage(
     let (expected, confirming) = ([true, false].map(expected_where), [true, false].map(confirming_where));
     let depth = median_depth(&points, global_from_camera);
     let mut coverage = Coverage {
+        chance_beyond: statistics.chance_beyond,
         picture: grid.filled_by(PICTURE_AREA_M2, depth),
         parts: grid.len(),
         ..Coverage::default()
@@ -110,17 +117,38 @@ pub(crate) fn coverage(
 }
 
 /// The features that inliers match, each once, and their landmarks in G (metres).
-fn distinct_inliers(map: &LoadedMap, place: &[&VerifiedKeyframe]) -> Vec<(usize, Vector3<f64>)> {
+///
+/// # Arguments
+/// * `is_confirming`: which inliers count, by their reprojection error with the claimed pose (px).
+fn distinct_inliers(
+    map: &LoadedMap,
+    camera: &Camera,
+    features: &FeatureSet,
+    global_from_camera: &Pose,
+    place: &[&VerifiedKeyframe],
+    is_confirming: impl Fn(f64) -> bool,
+) -> Vec<(usize, Vector3<f64>)> {
     let mut inliers = Vec::new();
     for verified in place {
         let global_from_keyframe = &map.keyframes[verified.keyframe].global_from_keyframe.pose;
-        let points = verified.inlier_points().map(|point| global_from_keyframe.transform(point));
-        inliers.extend(verified.inliers.iter().map(|inlier| inlier.query).zip(points));
+        for (inlier, point) in verified.inliers.iter().zip(verified.inlier_points()) {
+            let in_global = global_from_keyframe.transform(point);
+            let pixel = Vector2::from(features.pixels[inlier.query].map(f64::from));
+            let landmark = Correspondence { point: in_global, pixel };
+            if landmark.reprojection_error(camera, global_from_camera).is_some_and(&is_confirming) {
+                inliers.push((inlier.query, in_global));
+            }
+        }
     }
     // A stable sort: of a feature that several keyframes match, the first one's landmark.
     inliers.sort_by_key(|(query, _)| *query);
     inliers.dedup_by_key(|(query, _)| *query);
     inliers
+}
+
+/// Pixels of an angle of one radian.
+fn mean_focal(camera: &Camera) -> f64 {
+    f64::midpoint(camera.focal[0], camera.focal[1])
 }
 
 /// Median depth of points in G (metres), metres.

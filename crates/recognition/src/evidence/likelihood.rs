@@ -11,9 +11,6 @@ const SHARE_BEYOND: [f64; 2] = [1.0, 1.0];
 /// distribution. It confirms as many however many are expected.
 const PICTURE_SHARE: f64 = 1.0 / 8.0;
 const PICTURE_DISPERSION: f64 = 10.0;
-/// Chance that a repeated picture confirms another part beyond it, one after the other: by matches that agree by accident, and because
-/// what repeats is larger. Of 687 wrong places that were verified in rendered warehouses 15 % had one such part, 4 % two or more.
-const CHANCE_BEYOND: f64 = 0.3;
 /// Share of the pictures that confirm all that they fill, and the dispersion of that number: at least so many, and the more the more
 /// of the image they fill, since little of their surroundings is left that could differ.
 const LARGE_PICTURES: f64 = 0.1;
@@ -30,12 +27,12 @@ const LEAST_LARGE_PICTURE: f64 = 2.0;
 /// large and confirms as many as it fills, wherever these are. Where little is expected the two say the same, and the ratio is about
 /// one.
 pub(super) fn log_likelihood_ratio(coverage: &Coverage) -> f64 {
-    let Coverage { within_picture, beyond_picture, parts, picture } = *coverage;
+    let Coverage { within_picture, beyond_picture, parts, picture, chance_beyond } = *coverage;
     let mean = (PICTURE_SHARE * parts as f64).max(1.0);
     let over_usual = log_at_the_place(within_picture, SHARE_AT_THE_PLACE)
         - log_of_a_picture(within_picture, mean, PICTURE_DISPERSION)
         + log_at_the_place(beyond_picture, SHARE_BEYOND)
-        - log_beyond_a_picture(beyond_picture);
+        - log_beyond_a_picture(beyond_picture, chance_beyond);
     let whole = coverage.of_image();
     let over_large = log_at_the_place(whole, SHARE_AT_THE_PLACE)
         - log_of_a_picture(whole, picture.max(LEAST_LARGE_PICTURE), LARGE_PICTURE_DISPERSION);
@@ -65,8 +62,8 @@ fn log_of_a_picture(counts: PartCounts, mean: f64, dispersion: f64) -> f64 {
 }
 
 /// Geometric, among what the expected parts allow.
-fn log_beyond_a_picture(counts: PartCounts) -> f64 {
-    log_among_expected(counts, |count| CHANCE_BEYOND.ln() * count as f64)
+fn log_beyond_a_picture(counts: PartCounts, chance: f64) -> f64 {
+    log_among_expected(counts, |count| chance.powi(count as i32).ln())
 }
 
 /// A distribution of the number of confirmed parts, among what the expected parts allow.
@@ -89,6 +86,7 @@ mod tests {
 
     /// Those of the finest grid.
     const PARTS: usize = 48;
+    const CHANCE: f64 = 0.3;
 
     fn counts(confirmed: usize, expected: usize) -> PartCounts {
         PartCounts { expected, confirmed }
@@ -98,7 +96,9 @@ mod tests {
     fn ratio(within: [usize; 2], beyond: [usize; 2], picture: f64) -> f64 {
         let [within_picture, beyond_picture] =
             [within, beyond].map(|[confirmed, expected]| counts(confirmed, expected));
-        log_likelihood_ratio(&Coverage { within_picture, beyond_picture, parts: PARTS, picture })
+        let coverage =
+            Coverage { within_picture, beyond_picture, parts: PARTS, picture, chance_beyond: CHANCE };
+        log_likelihood_ratio(&coverage)
     }
 
     #[test]
@@ -112,7 +112,7 @@ mod tests {
             let sum_of = |log: &dyn Fn(PartCounts) -> f64| -> f64 {
                 (0..=expected).map(|k| log(counts(k, expected)).exp()).sum()
             };
-            let mut sums = vec![sum_of(&log_beyond_a_picture)];
+            let mut sums = vec![sum_of(&|counts| log_beyond_a_picture(counts, CHANCE))];
             for shapes in [SHARE_AT_THE_PLACE, SHARE_BEYOND] {
                 sums.push(sum_of(&|counts| log_at_the_place(counts, shapes)));
             }
