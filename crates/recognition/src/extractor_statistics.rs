@@ -23,19 +23,22 @@ pub(crate) struct ExtractorStatistics {
 const CLASSICAL: ExtractorStatistics =
     ExtractorStatistics { ratio: None, confirming_angle: f64::INFINITY, chance_beyond: 0.3 };
 
-/// Networks. Their descriptors show structure more than texture, and structure repeats along racks and walls: of wrong places more
+/// EdgePoint2. Its descriptors show structure more than texture, and structure repeats along racks and walls: of wrong places more
 /// parts are confirmed beyond the picture, by matches that fit within the error of an inlier only. Beyond 0.4 deg they do not count.
-const LEARNED: ExtractorStatistics =
+const EDGEPOINT2: ExtractorStatistics =
     ExtractorStatistics { ratio: Some(0.7), confirming_angle: 0.007, chance_beyond: 0.4 };
 
-/// The measured networks, without the version of the extractor.
-const MEASURED_NETWORKS: [&str; 1] = ["edgepoint2"];
+/// XFeat, of whose wrong places more parts are confirmed beyond the picture as well.
+const XFEAT: ExtractorStatistics = ExtractorStatistics { chance_beyond: 0.4, ..CLASSICAL };
 
 impl ExtractorStatistics {
     /// Of an extractor, by its name with its version, like `edgepoint2-1`.
     pub(crate) fn of(extractor: &str) -> Self {
-        let family = extractor.split_once('-').map_or(extractor, |(family, _)| family);
-        if MEASURED_NETWORKS.contains(&family) { LEARNED } else { CLASSICAL }
+        match extractor.split_once('-').map_or(extractor, |(family, _)| family) {
+            "edgepoint2" => EDGEPOINT2,
+            "xfeat" => XFEAT,
+            _ => CLASSICAL,
+        }
     }
 
     /// Conditions on matches of an image with a keyframe.
@@ -58,16 +61,19 @@ mod tests {
             assert_eq!(ExtractorStatistics::of(name), CLASSICAL, "{name}");
         }
         for name in ["edgepoint2-1", "edgepoint2-2", "edgepoint2"] {
-            assert_eq!(ExtractorStatistics::of(name), LEARNED, "{name}");
+            assert_eq!(ExtractorStatistics::of(name), EDGEPOINT2, "{name}");
         }
+        assert_eq!(ExtractorStatistics::of("xfeat-1"), XFEAT);
     }
 
     #[test]
     fn only_the_ratio_differs_from_the_defaults_of_the_metric() {
         for metric in [Metric::Hamming, Metric::CosineInt8] {
             let of_metric = MatchOptions::for_metric(metric);
-            assert_eq!(CLASSICAL.match_options(of_metric), of_metric);
-            assert_eq!(LEARNED.match_options(of_metric), MatchOptions { ratio: Some(0.7), ..of_metric });
+            assert!(
+                [CLASSICAL, XFEAT].iter().all(|statistics| statistics.match_options(of_metric) == of_metric)
+            );
+            assert_eq!(EDGEPOINT2.match_options(of_metric), MatchOptions { ratio: Some(0.7), ..of_metric });
         }
     }
 }
