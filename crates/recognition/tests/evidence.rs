@@ -115,7 +115,7 @@ fn of_learned_features_only_what_fits_the_claimed_pose_well_confirms_a_part() {
     for _ in 0..5 {
         let truth = pose(&place, &mut rng);
         let mut request = request(&place, &truth, &mut rng, |_| true);
-        let mut confirmed = |request: &LocalizeRequest| {
+        let confirmed = |request: &LocalizeRequest| {
             ["sift-1", "edgepoint2-1"].map(|extractor| {
                 let mut request = request.clone();
                 request.features.extractor = extractor.to_owned();
