@@ -1,8 +1,9 @@
 //! Images of little light, in which noise is as strong as what they show, are smoothed before the network sees them: its first layers
 //! have the resolution of the image and were trained on images without much noise.
 //!
-//! Noise over contrast (the standard deviations of both, grey levels) is 0.007 to 0.024 in the images of EuRoC, 0.02 to 0.03 in rendered
-//! ones by day, and 0.08 to 0.26 by night.
+//! Noise over contrast (the standard deviations of both, grey levels) is 0.005 to 0.03 in the images of EuRoC and in rendered ones by day,
+//! and 0.07 to 0.3 by night. Fine texture can have as much. But noise is white: its differences are as large from pixel to pixel as over two
+//! pixels (0.5 in JPEG files by night, 0.95 before), those of texture are smaller (0.25 for one of 2 pixels; 0.28 to 0.32 by day).
 
 use crate::image::GrayImage;
 use pulp::{Arch, NullaryFnOnce};
@@ -10,6 +11,8 @@ use std::borrow::Cow;
 
 /// From this noise over contrast on, an image is smoothed.
 const MAX_NOISE: f64 = 0.05;
+/// An image is smoothed only where its second differences from pixel to pixel are more than this part of those over two pixels.
+const MIN_WHITENESS: f64 = 0.42;
 /// The binomial kernel of six steps, in 64ths: a standard deviation of 1.22 pixels, which leaves a quarter of white noise.
 const KERNEL: [u32; 7] = [1, 6, 15, 20, 15, 6, 1];
 const REACH: usize = KERNEL.len() / 2;
@@ -28,9 +31,41 @@ impl<'a> NullaryFnOnce for Reduce<'a> {
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let is_noisy = noise_over_contrast(self.0) > MAX_NOISE;
+        let is_noisy = noise_over_contrast(self.0) > MAX_NOISE && whiteness(self.0) > MIN_WHITENESS;
         if is_noisy { Cow::Owned(smoothed(self.0)) } else { Cow::Borrowed(self.0) }
     }
+}
+
+/// The sum of magnitudes of second mixed differences over one pixel as a part of those over two; 1 for white noise. Zero for an image
+/// without any or of less than 5 by 5 pixels.
+#[inline(always)]
+fn whiteness(image: &GrayImage) -> f64 {
+    let (width, height) = (image.width(), image.height());
+    if width < 5 || height < 5 {
+        return 0.0;
+    }
+    let mut columns = vec![0; width];
+    let mut over = |step: usize| -> u64 {
+        let rows = 2..height - 2;
+        rows.map(|y| magnitudes([y - step, y, y + step].map(|y| image.row(y)), step, &mut columns)).sum()
+    };
+    let (one, two) = (over(1), over(2));
+    if two > 0 { one as f64 / two as f64 } else { 0.0 }
+}
+
+/// Sum of the magnitudes of the second mixed differences in a row.
+///
+/// # Arguments
+/// * `rows`: above, the row, below.
+/// * `step`: pixels to the left and to the right.
+/// * `columns`: as many numbers as a row has pixels.
+#[inline(always)]
+fn magnitudes([above, row, below]: [&[u8]; 3], step: usize, columns: &mut [i16]) -> u64 {
+    for (second, ((&a, &b), &c)) in columns.iter_mut().zip(above.iter().zip(row).zip(below)) {
+        *second = i16::from(a) - 2 * i16::from(b) + i16::from(c);
+    }
+    let differences = columns.windows(2 * step + 1).map(|d| d[0] - 2 * d[step] + d[2 * step]);
+    u64::from(differences.map(|difference| u32::from(difference.unsigned_abs())).sum::<u32>())
 }
 
 /// The standard deviation of white noise in an image over that of its grey levels. Zero for an image without contrast or of less than 3
@@ -43,16 +78,11 @@ fn noise_over_contrast(image: &GrayImage) -> f64 {
     if width < 3 || height < 3 {
         return 0.0;
     }
-    let (mut magnitudes, mut sum, mut squares) = (0_u64, 0_u64, 0_u64);
-    let mut columns = vec![0_i16; width];
+    let (mut differences, mut sum, mut squares) = (0_u64, 0_u64, 0_u64);
+    let mut columns = vec![0; width];
     for y in 1..height - 1 {
-        let [above, row, below] = [y - 1, y, y + 1].map(|y| image.row(y));
-        for (second, ((&a, &b), &c)) in columns.iter_mut().zip(above.iter().zip(row).zip(below)) {
-            *second = i16::from(a) - 2 * i16::from(b) + i16::from(c);
-        }
-        let of_row: u32 =
-            columns.windows(3).map(|d| u32::from((d[0] - 2 * d[1] + d[2]).unsigned_abs())).sum();
-        magnitudes += u64::from(of_row);
+        let row = image.row(y);
+        differences += magnitudes([image.row(y - 1), row, image.row(y + 1)], 1, &mut columns);
         sum += u64::from(row.iter().map(|&pixel| u32::from(pixel)).sum::<u32>());
         squares += u64::from(row.iter().map(|&pixel| u32::from(pixel) * u32::from(pixel)).sum::<u32>());
     }
@@ -60,7 +90,7 @@ fn noise_over_contrast(image: &GrayImage) -> f64 {
     let count = width as f64 * rows;
     let mean = sum as f64 / count;
     let contrast = (squares as f64 / count - mean * mean).max(0.0).sqrt();
-    let noise = DEVIATION_OF_MEAN * magnitudes as f64 / ((width - 2) as f64 * rows);
+    let noise = DEVIATION_OF_MEAN * differences as f64 / ((width - 2) as f64 * rows);
     if contrast > 0.0 { noise / contrast } else { 0.0 }
 }
 
@@ -128,6 +158,15 @@ mod tests {
         let reduced = without_noise(&noisy);
         assert!(matches!(reduced, Cow::Owned(_)));
         assert!(mean_difference(&reduced, &shown) < 0.4 * mean_difference(&noisy, &shown));
+    }
+
+    #[test]
+    fn fine_texture_is_no_noise() {
+        let texture = GrayImage::from_fn(160, 120, |x, y| {
+            (128.0 + 60.0 * (1.4 * x as f64).sin() * (1.3 * y as f64).sin()).round() as u8
+        });
+        assert!(noise_over_contrast(&texture) > MAX_NOISE);
+        assert!(matches!(without_noise(&texture), Cow::Borrowed(_)));
     }
 
     #[test]
