@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use geometry::Pose;
 use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 
 use super::compared::Compared;
@@ -61,7 +62,11 @@ impl VersionChange {
         changed.extend(&moved);
         let keyframe_motions = moved
             .iter()
-            .filter_map(|id| Some(motion_of(*id, &pose_in(before, id)?, &pose_in(now, id)?)))
+            .map(|id| match (pose_in(before, id), pose_in(now, id)) {
+                (Some(before), Some(now)) => motion_of(*id, &before, &now),
+                // In a part that is the same in both.
+                _ => motion_of(*id, &Pose::identity(), &Pose::identity()),
+            })
             .collect();
         Self {
             changed: changed.into_iter().collect(),
