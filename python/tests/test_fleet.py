@@ -130,9 +130,9 @@ def test_a_subscription_keeps_the_newest_and_ends():
     [
         (b"\xff", "no message"),
         (b"[]", "no message"),
-        (b'{"schema": 3}', "schema 3, this package uses 8"),
-        (b'{"schema": 10}', "schema 10, this package uses 8"),
-        (b'{"schema": 9, "stamp_ns": 1, "floor": 3}', "'state' is missing"),
+        (b'{"schema": 3}', "schema 3, this package uses 9"),
+        (b'{"schema": 11}', "schema 11, this package uses 9"),
+        (b'{"schema": 10, "stamp_ns": 1, "floor": 3}', "'state' is missing"),
         (b'{"schema": 9, "stamp_ns": 1}', "'state' is missing"),
     ],
 )
