@@ -9,10 +9,10 @@ use crate::fetch::cell_contents;
 use crate::partition::CellId;
 use crate::release::{Release, ReleasedCell};
 use crate::store::ReleaseStore;
-use geometry::rotation;
+use geometry::Pose;
 use map::difference::{Compared, MapDifference, VersionChange};
 use map::file::Segment;
-use nalgebra::Vector3;
+use nalgebra::Vector6;
 use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -87,14 +87,12 @@ impl ReleasedChange {
 
 /// A motion of a keyframe, and after it another.
 fn one_after_the_other(first: &KeyframeMotion, second: &KeyframeMotion) -> KeyframeMotion {
-    let wide = |numbers: [f32; 3]| Vector3::from(numbers.map(f64::from));
-    let narrow = |numbers: Vector3<f64>| <[f64; 3]>::from(numbers).map(|number| number as f32);
-    let turn = rotation::exp(&wide(second.theta_rad)) * rotation::exp(&wide(first.theta_rad));
-    KeyframeMotion {
-        keyframe: first.keyframe,
-        theta_rad: narrow(rotation::log(&turn)),
-        translation_m: narrow(wide(first.translation_m) + wide(second.translation_m)),
-    }
+    let vector = |motion: &KeyframeMotion| {
+        Vector6::from_iterator(motion.theta_rad.into_iter().chain(motion.translation_m).map(f64::from))
+    };
+    let both = Pose::identity().local(&Pose::identity().retract(&vector(first)).retract(&vector(second)));
+    let [theta_rad, translation_m] = [0, 3].map(|begin| [0, 1, 2].map(|axis| both[begin + axis] as f32));
+    KeyframeMotion { keyframe: first.keyframe, theta_rad, translation_m }
 }
 
 /// How one release differs from another: keyframes, landmarks and places.
