@@ -71,13 +71,16 @@ impl ReleasedChange {
             change.keyframe_motions.iter().map(|motion| (motion.keyframe, *motion)).collect()
         };
         let (first, second) = (by_keyframe(self), by_keyframe(later));
-        let is_unknown = |id: &KeyframeId, change: &Self, motions: &BTreeMap<KeyframeId, KeyframeMotion>| {
-            !motions.contains_key(id) && (change.moved.contains(id) || change.removed.contains(id))
-        };
+        let unknown: BTreeSet<KeyframeId> = [(self, &first), (later, &second)]
+            .into_iter()
+            .flat_map(|(change, motions)| {
+                let ids = change.moved.iter().chain(&change.removed).copied();
+                ids.filter(|id| !motions.contains_key(id))
+            })
+            .collect();
         let ids: BTreeSet<KeyframeId> = first.keys().chain(second.keys()).copied().collect();
-        ids.into_iter()
-            .filter(|id| !is_unknown(id, self, &first) && !is_unknown(id, later, &second))
-            .filter_map(|id| match (first.get(&id), second.get(&id)) {
+        ids.difference(&unknown)
+            .filter_map(|id| match (first.get(id), second.get(id)) {
                 (Some(first), Some(second)) => Some(one_after_the_other(first, second)),
                 (first, second) => first.or(second).copied(),
             })
