@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use types::hexadecimal;
 
 /// Bytes of an identity.
 const BYTES: usize = 16;
@@ -41,7 +42,7 @@ impl MapIdentity {
 
 impl fmt::Display for MapIdentity {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(formatter, "{byte:02x}"))
+        formatter.write_str(&hexadecimal::encode(&self.0))
     }
 }
 
@@ -55,14 +56,8 @@ impl FromStr for MapIdentity {
     type Err = IdentityError;
 
     fn from_str(text: &str) -> Result<Self, IdentityError> {
-        let mut bytes = [0; BYTES];
-        if text.len() != 2 * BYTES || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
-            return Err(IdentityError);
-        }
-        for (at, byte) in bytes.iter_mut().enumerate() {
-            *byte = u8::from_str_radix(&text[2 * at..2 * at + 2], 16).map_err(|_| IdentityError)?;
-        }
-        Ok(Self(bytes))
+        let bytes = hexadecimal::decode(text).and_then(|bytes| bytes.try_into().ok());
+        bytes.map(Self).ok_or(IdentityError)
     }
 }
 

@@ -9,6 +9,7 @@ use crate::validate::{
     InvalidField, Validate, require, require_each, require_name, require_not_negative, require_position,
     require_positive, require_unit, require_valid,
 };
+use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 /// Properties of a map: the answer to `map/{map}/info`.
@@ -164,6 +165,26 @@ pub struct KeyframeMotion {
     pub theta_rad: [f32; 3],
     /// Translation in the map's frame, metres: `p = p_before + t`.
     pub translation_m: [f32; 3],
+}
+
+impl KeyframeMotion {
+    /// The motion of a keyframe that did not move.
+    pub fn unmoved(keyframe: KeyframeId) -> Self {
+        Self { keyframe, theta_rad: [0.0; 3], translation_m: [0.0; 3] }
+    }
+
+    /// # Arguments
+    /// * `motion`: `[θ, t]` in the map's frame, rad and metres.
+    pub fn from_vector(keyframe: KeyframeId, motion: &Vector6<f64>) -> Self {
+        let [theta_rad, translation_m] =
+            [0, 3].map(|begin| [0, 1, 2].map(|axis| motion[begin + axis] as f32));
+        Self { keyframe, theta_rad, translation_m }
+    }
+
+    /// `[θ, t]` in the map's frame, rad and metres.
+    pub fn to_vector(&self) -> Vector6<f64> {
+        Vector6::from_iterator(self.theta_rad.into_iter().chain(self.translation_m).map(f64::from))
+    }
 }
 
 impl Validate for KeyframeMotion {

@@ -6,7 +6,6 @@
 //! ```
 //! Whatever stops the program, a file is one or the other. A part that is sent again changes nothing.
 
-use std::fmt::Write as _;
 use std::fs::{File, TryLockError};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -148,7 +147,7 @@ impl Inbox {
         }
         part.validate().map_err(|error| InboxError::Invalid(error.to_string()))?;
         let folder = self.settings.folder.join(robot);
-        let digest = hexadecimal(&part.digest);
+        let digest = types::hexadecimal::encode(&part.digest);
         let complete = folder.join(format!("{digest}.{COMPLETE}"));
         if complete.exists() {
             return Ok(Received { bytes: part.total_bytes, is_complete: true });
@@ -277,15 +276,6 @@ fn sizes(folder: &Path) -> Result<Vec<(PathBuf, u64)>, InboxError> {
         std::fs::read_dir(folder)?.map(|entry| of_file(entry?.path())).collect()
     };
     read().map_err(|source| InboxError::Io { path: folder.to_owned(), source })
-}
-
-/// Two digits a byte.
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        // Writing to a string does not fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
 }
 
 /// The SHA-256 of the bytes of a file.

@@ -19,7 +19,6 @@ pub mod contents;
 pub mod difference;
 pub mod edit;
 pub mod file;
-mod hexadecimal;
 pub mod model;
 pub mod sessions;
 pub mod store;

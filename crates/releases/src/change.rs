@@ -12,7 +12,6 @@ use crate::store::ReleaseStore;
 use geometry::Pose;
 use map::difference::{Compared, MapDifference, VersionChange};
 use map::file::Segment;
-use nalgebra::Vector6;
 use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -90,12 +89,9 @@ impl ReleasedChange {
 
 /// A motion of a keyframe, and after it another.
 fn one_after_the_other(first: &KeyframeMotion, second: &KeyframeMotion) -> KeyframeMotion {
-    let vector = |motion: &KeyframeMotion| {
-        Vector6::from_iterator(motion.theta_rad.into_iter().chain(motion.translation_m).map(f64::from))
-    };
-    let both = Pose::identity().local(&Pose::identity().retract(&vector(first)).retract(&vector(second)));
-    let [theta_rad, translation_m] = [0, 3].map(|begin| [0, 1, 2].map(|axis| both[begin + axis] as f32));
-    KeyframeMotion { keyframe: first.keyframe, theta_rad, translation_m }
+    let origin = Pose::identity();
+    let both = origin.local(&origin.retract(&first.to_vector()).retract(&second.to_vector()));
+    KeyframeMotion::from_vector(first.keyframe, &both)
 }
 
 /// How one release differs from another: keyframes, landmarks and places.

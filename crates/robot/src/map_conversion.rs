@@ -1,7 +1,7 @@
 //! Conversion of map messages to the estimator's types.
 
 use estimator::{ChangeSize, KeyframeMotion, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark};
-use nalgebra::{Matrix6xX, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix6xX, Vector2, Vector3};
 use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MapIdentity, MatchStatus, MatchedKeyframe};
 
 /// Assembles the replies to one query.
@@ -92,11 +92,9 @@ pub fn map_revision(notice: MapChangeNotice) -> MapRevision {
     });
     let mut changed_keyframes = notice.moved;
     changed_keyframes.extend(notice.removed);
-    let keyframe_motions = notice.keyframe_motions.iter().map(|moved| {
-        let numbers = moved.theta_rad.into_iter().chain(moved.translation_m).map(f64::from);
-        KeyframeMotion { id: moved.keyframe, motion: Vector6::from_iterator(numbers) }
-    });
-    let keyframe_motions = keyframe_motions.collect();
+    let moved = notice.keyframe_motions.iter();
+    let keyframe_motions =
+        moved.map(|moved| KeyframeMotion { id: moved.keyframe, motion: moved.to_vector() }).collect();
     MapRevision {
         from_version: notice.from_version,
         version: notice.version,
@@ -109,6 +107,7 @@ pub fn map_revision(notice: MapChangeNotice) -> MapRevision {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector6;
     use protocol::StatedChange;
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::bounded;
 use crate::features::MAX_FEATURES;
+use crate::hexadecimal;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Data type of descriptors, which decides how they are compared.
@@ -129,7 +130,7 @@ struct BinaryForm<'a> {
 impl Serialize for Descriptors {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
-            let hex = self.iter().map(to_hex).collect();
+            let hex = self.iter().map(hexadecimal::encode).collect();
             JsonForm { kind: self.kind, width: self.width, hex }.serialize(serializer)
         } else {
             let bytes = std::borrow::Cow::Borrowed(serde_bytes::Bytes::new(&self.bytes));
@@ -158,12 +159,6 @@ impl<'de> Deserialize<'de> for Descriptors {
     }
 }
 
-fn to_hex(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 16] = b"0123456789abcdef";
-    let digit = |nibble: u8| char::from(DIGITS[usize::from(nibble)]);
-    bytes.iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect()
-}
-
 /// Why a text is no descriptor.
 #[derive(Debug, thiserror::Error)]
 enum HexError {
@@ -178,9 +173,6 @@ fn append_hex(text: &str, width: usize, bytes: &mut Vec<u8>) -> Result<(), HexEr
     if text.len() != 2 * width {
         return Err(HexError::Length { characters: text.len(), width });
     }
-    let digit = |character: u8| char::from(character).to_digit(16).ok_or(HexError::Digit);
-    for [high, low] in text.as_bytes().as_chunks::<2>().0 {
-        bytes.push((digit(*high)? << 4 | digit(*low)?) as u8);
-    }
+    bytes.extend(hexadecimal::decode(text).ok_or(HexError::Digit)?);
     Ok(())
 }

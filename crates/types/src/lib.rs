@@ -9,6 +9,7 @@
 //! | `track` | [`TrackObservation`], a feature that a front end follows |
 //! | [`descriptors`] | [`DescriptorKind`], [`DescriptorFormat`], [`Descriptors`] |
 //! | [`features`] | [`FeatureSet`], pixels and descriptors of one image |
+//! | [`hexadecimal`] | bytes as digits |
 //! | `newest` | [`push_newest`], for queues that keep the newest |
 //! | [`bounded`] | lists that are refused at the first element too many |
 //!
@@ -20,6 +21,7 @@ pub mod bounded;
 pub mod descriptors;
 pub mod features;
 mod gnss;
+pub mod hexadecimal;
 mod ids;
 mod imu;
 mod newest;

@@ -1,15 +1,7 @@
-//! How far a map moved as a whole, and each of its keyframes.
+//! How far a map moved as a whole.
 
 use geometry::Pose;
-use protocol::{KeyframeId, KeyframeMotion, StatedChange};
-
-/// How far a keyframe moved.
-pub(super) fn motion_of(keyframe: KeyframeId, before: &Pose, now: &Pose) -> KeyframeMotion {
-    let motion = before.local(now).map(|number| number as f32);
-    let [theta_rad, translation_m] =
-        [0, 3].map(|begin| [motion[begin], motion[begin + 1], motion[begin + 2]]);
-    KeyframeMotion { keyframe, theta_rad, translation_m }
-}
+use protocol::StatedChange;
 
 /// The motion of a map, summed over the keyframes that both versions have.
 #[derive(Clone, Copy, Debug, Default)]

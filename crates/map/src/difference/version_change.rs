@@ -2,12 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use geometry::Pose;
 use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 
 use super::compared::Compared;
 use super::criteria::{has_moved, is_recorrelated, with_other_common_errors};
-use super::motion::{Motion, motion_of};
+use super::motion::Motion;
 
 /// What changed from one version of a map to another, keyframe by keyframe; ids ascend.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -63,9 +62,9 @@ impl VersionChange {
         let keyframe_motions = moved
             .iter()
             .map(|id| match (pose_in(before, id), pose_in(now, id)) {
-                (Some(before), Some(now)) => motion_of(*id, &before, &now),
+                (Some(before), Some(now)) => KeyframeMotion::from_vector(*id, &before.local(&now)),
                 // In a part that is the same in both.
-                _ => motion_of(*id, &Pose::identity(), &Pose::identity()),
+                _ => KeyframeMotion::unmoved(*id),
             })
             .collect();
         Self {

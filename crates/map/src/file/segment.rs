@@ -13,7 +13,6 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::record::{self, Element, RecordError, Table, key_bytes};
-use crate::hexadecimal;
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
 
 const MAGIC: &[u8] = b"driftless segment 4\n";
@@ -102,7 +101,7 @@ impl SegmentName {
 
 /// SHA-256 in hexadecimal digits.
 pub fn sha256(bytes: &[u8]) -> String {
-    hexadecimal::encode(Sha256::digest(bytes))
+    types::hexadecimal::encode(&Sha256::digest(bytes))
 }
 
 /// Makes a segment, element by element, those of one kind in the order of their keys.

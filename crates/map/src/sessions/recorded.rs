@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use sha2::{Digest as _, Sha256};
+use types::hexadecimal;
 
 use super::session::SessionId;
-use crate::hexadecimal;
 
 /// One reading of so many is sampled, chosen by its digest: about six a second at 200 Hz.
 const READINGS_A_SAMPLE: u64 = 32;
@@ -47,7 +47,8 @@ impl ReadingSamples {
 
 impl Serialize for ReadingSamples {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(&hexadecimal::encode(self.0.iter().flat_map(|digest| digest.to_be_bytes())))
+        let bytes: Vec<u8> = self.0.iter().flat_map(|digest| digest.to_be_bytes()).collect();
+        serializer.serialize_str(&hexadecimal::encode(&bytes))
     }
 }
 

@@ -5,9 +5,9 @@ use std::ops::RangeInclusive;
 
 use protocol::KeyframeId;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use types::hexadecimal;
 
 use super::recorded::{ReadingSamples, Recorded};
-use crate::hexadecimal;
 
 /// Most bytes of a session's name, of its robot and of the program that added it.
 pub const MAX_TEXT_BYTES: usize = 256;
@@ -31,7 +31,7 @@ impl SessionId {
 
 impl fmt::Display for SessionId {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(&hexadecimal::encode(self.0))
+        formatter.write_str(&hexadecimal::encode(&self.0))
     }
 }
 

@@ -142,16 +142,7 @@ impl<'a> Row<'a> {
 
     /// One field of hexadecimal digits as bytes.
     pub(super) fn bytes(&self, index: usize, name: &str) -> Result<Vec<u8>, MapFileError> {
-        let digits = self.text(index).as_bytes();
-        let nibble = |digit: u8| char::from(digit).to_digit(16);
-        let bytes: Option<Vec<u8>> = digits
-            .chunks(2)
-            .map(|pair| match *pair {
-                [high, low] => Some((nibble(high)? * 16 + nibble(low)?) as u8),
-                _ => None,
-            })
-            .collect();
-        bytes.filter(|bytes| !bytes.is_empty()).ok_or_else(|| {
+        types::hexadecimal::decode(self.text(index)).filter(|bytes| !bytes.is_empty()).ok_or_else(|| {
             self.error(
                 format!("the {name} is no whole number of bytes in hexadecimal digits"),
                 "write two digits 0-9, a-f for each byte",
@@ -168,14 +159,4 @@ pub(super) fn shortest_single(value: f32) -> String {
     } else {
         format!("{value:e}")
     }
-}
-
-/// Bytes as hexadecimal digits.
-pub(super) fn hexadecimal(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 16] = b"0123456789abcdef";
-    bytes
-        .iter()
-        .flat_map(|byte| [DIGITS[usize::from(byte >> 4)], DIGITS[usize::from(byte & 15)]])
-        .map(char::from)
-        .collect()
 }

@@ -9,12 +9,13 @@ use geometry::uncertain_pose::isotropic_covariance;
 use map::contents::MapContents;
 use map::model::Keyframe;
 use nalgebra::Matrix6;
+use types::hexadecimal;
 
 use super::camera_yaml::camera_text;
 use super::error::MapFileError;
 use super::info_yaml::info_text;
 use super::sessions::sessions_text;
-use super::table::{hexadecimal, shortest_single};
+use super::table::shortest_single;
 use super::{columns, names};
 
 /// Writes a map as text files into a folder, which is made if needed.
@@ -136,7 +137,7 @@ fn observations_text(contents: &MapContents) -> String {
     for landmark in &contents.landmarks {
         for observation in &landmark.observations {
             let [u, v] = observation.pixel.map(shortest_single);
-            let descriptor = hexadecimal(&observation.descriptor);
+            let descriptor = hexadecimal::encode(&observation.descriptor);
             let _ = writeln!(text, "{},{},{u},{v},{descriptor}", landmark.id, observation.keyframe);
         }
     }
@@ -203,7 +204,7 @@ fn features_text(contents: &MapContents) -> Option<String> {
         let descriptors = features.descriptors.bytes.chunks(usize::from(features.descriptors.width));
         for (pixel, descriptor) in features.pixels.iter().zip(descriptors) {
             let [u, v] = pixel.map(shortest_single);
-            let _ = writeln!(text, "{},{u},{v},{}", keyframe.id, hexadecimal(descriptor));
+            let _ = writeln!(text, "{},{u},{v},{}", keyframe.id, hexadecimal::encode(descriptor));
         }
     }
     any.then_some(text)

@@ -12,6 +12,7 @@ use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
+use types::hexadecimal;
 
 /// Writes every file of a recording below `root`, which is created.
 ///
@@ -210,11 +211,8 @@ fn feature_rows(out: &mut Out, frames: &[Frame]) -> std::io::Result<()> {
     for frame in frames {
         let Some(features) = &frame.features else { continue };
         for (index, [u, v]) in features.pixels.iter().enumerate() {
-            write!(out, "{},{u},{v},", frame.stamp_ns)?;
-            for byte in features.descriptors.get(index).unwrap_or_default() {
-                write!(out, "{byte:02x}")?;
-            }
-            writeln!(out)?;
+            let descriptor = hexadecimal::encode(features.descriptors.get(index).unwrap_or_default());
+            writeln!(out, "{},{u},{v},{descriptor}", frame.stamp_ns)?;
         }
     }
     Ok(())
