@@ -219,6 +219,7 @@ fn settings(
     settings.tracker.masks = masks;
     settings.realtime = arguments.realtime;
     settings.query_interval_ns = (arguments.query_interval * 1e9) as i64;
+    settings.query_cameras = usize::from(arguments.query_cameras);
     settings.query_deadline = Duration::try_from_secs_f64(arguments.deadline).unwrap_or(Duration::MAX);
     settings.max_keyframes = arguments.max_keyframes;
     settings.initial_poses = arguments.initial_poses.clone();

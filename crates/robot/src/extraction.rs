@@ -6,6 +6,7 @@
 use super::query_cameras::QueryImage;
 use protocol::FeatureSet;
 use sensors::ImageData;
+use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use vision::feature_set;
 use vision::features::ExtractError;
@@ -48,13 +49,13 @@ struct Job {
     data: ImageData,
 }
 
-/// An extractor on a thread of its own, one image at a time. The thread ends when this value is dropped.
+/// An extractor on a thread of its own, one image after the other. The thread ends when this value is dropped.
 #[derive(Debug)]
 pub struct ExtractionThread {
     jobs: Sender<Job>,
     results: Receiver<Extracted>,
-    /// The image that is processed now.
-    pending: Option<(QueryImage, i64)>,
+    /// The images that are submitted and not extracted, the oldest first.
+    pending: VecDeque<(QueryImage, i64)>,
 }
 
 impl ExtractionThread {
@@ -82,24 +83,26 @@ impl ExtractionThread {
             }
         };
         std::thread::Builder::new().name("features".into()).spawn(work)?;
-        Ok(Self { jobs, results, pending: None })
+        Ok(Self { jobs, results, pending: VecDeque::new() })
     }
 
-    /// Whether no image is being processed.
+    /// Whether all submitted images are extracted.
     pub fn is_idle(&self) -> bool {
-        self.pending.is_none()
+        self.pending.is_empty()
     }
 
-    /// Submits an image. The thread must be idle.
+    /// Submits an image.
     pub fn submit(&mut self, image: QueryImage, stamp_ns: i64, data: ImageData) {
         // A thread that has ended is reported as the result of this image.
         let _ = self.jobs.send(Job { image, stamp_ns, data });
-        self.pending = Some((image, stamp_ns));
+        self.pending.push_back((image, stamp_ns));
     }
 
-    /// The result, if it is ready.
+    /// The next result, if it is ready.
     pub fn poll(&mut self) -> Option<Extracted> {
-        self.pending?;
+        if self.is_idle() {
+            return None;
+        }
         match self.results.try_recv() {
             Ok(extracted) => self.finish(Some(extracted)),
             Err(std::sync::mpsc::TryRecvError::Empty) => None,
@@ -107,15 +110,17 @@ impl ExtractionThread {
         }
     }
 
-    /// Waits for the result; for recordings that are played as fast as possible, not for a robot.
+    /// Waits for the next result; `None` when idle. For recordings that are played as fast as possible, not for a robot.
     pub fn wait(&mut self) -> Option<Extracted> {
-        self.pending?;
+        if self.is_idle() {
+            return None;
+        }
         let result = self.results.recv().ok();
         self.finish(result)
     }
 
     fn finish(&mut self, result: Option<Extracted>) -> Option<Extracted> {
-        let (image, stamp_ns) = self.pending.take()?;
+        let (image, stamp_ns) = self.pending.pop_front()?;
         let ended = || Extracted { image, stamp_ns, features: Err(ExtractionError::ThreadEnded) };
         Some(result.unwrap_or_else(ended))
     }

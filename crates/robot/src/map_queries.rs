@@ -18,9 +18,9 @@ use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
 use sensors::Frame;
 use std::time::{Duration, Instant};
 
-/// Queries that may be pending at once. Each keeps its clone in the filter: with a server that hangs, the window must
-/// not fill with them.
-const MAX_PENDING: usize = 4;
+/// Frames that may be pending at once, each with a query for every camera that is asked about. Each keeps its clone in the filter: with a
+/// server that hangs, the window must not fill with them.
+const MAX_PENDING_FRAMES: usize = 4;
 
 impl Robot<'_> {
     /// Queries the map with the features of a frame, or begins to extract them.
@@ -38,11 +38,11 @@ impl Robot<'_> {
             .last_extraction_ns
             .is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.settings.query_interval_ns);
         let Some(estimator) = self.supervisor.estimator_mut() else { return };
-        if due
-            && extraction.is_idle()
-            && let Some(camera) = self.query_cameras.next(frame)
-            && let Some(image) = frame.images.get(&camera)
-        {
+        if !due || !extraction.is_idle() {
+            return;
+        }
+        for camera in self.query_cameras.next(frame, self.settings.query_cameras) {
+            let Some(image) = frame.images.get(&camera) else { continue };
             estimator.pin(clone);
             extraction.submit(QueryImage { clone, camera }, frame.stamp_ns, image.clone());
             self.query_cameras.note_query(camera, frame.stamp_ns);
@@ -67,7 +67,7 @@ impl Robot<'_> {
         ) else {
             return;
         };
-        if queries.pending() >= MAX_PENDING {
+        if queries.pending() >= MAX_PENDING_FRAMES * self.settings.query_cameras.max(1) {
             self.report.queries.skipped += 1;
             estimator.unpin(clone);
             return;
@@ -102,12 +102,14 @@ impl Robot<'_> {
     /// # Returns
     /// The time spent waiting.
     pub(crate) fn apply_answers(&mut self) -> Result<Duration, EstimatorError> {
-        let begin = Instant::now();
-        let extracted = self.extraction.as_mut().and_then(|extraction| {
-            if self.settings.realtime { extraction.poll() } else { extraction.wait() }
-        });
-        let mut waited = begin.elapsed();
-        if let Some(extracted) = extracted {
+        let mut waited = Duration::ZERO;
+        loop {
+            let begin = Instant::now();
+            let extracted = self.extraction.as_mut().and_then(|extraction| {
+                if self.settings.realtime { extraction.poll() } else { extraction.wait() }
+            });
+            waited += begin.elapsed();
+            let Some(extracted) = extracted else { break };
             self.query_extracted(extracted);
         }
         self.apply_map_changes();
@@ -277,7 +279,7 @@ impl Robot<'_> {
 
     /// Waits for the pending answers at the end of the source, and applies them.
     pub(crate) fn finish_queries(&mut self) -> Result<(), EstimatorError> {
-        if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
+        while let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
             self.query_extracted(extracted);
         }
         while let Some(result) = self.next_answer() {

@@ -1,4 +1,4 @@
-//! Which camera of a rig the map is asked about next: one at a time.
+//! Which cameras of a rig the map is asked about next.
 
 use estimator::CloneId;
 use geometry::Camera;
@@ -21,8 +21,8 @@ pub struct QueryImage {
 
 /// The cameras of a rig, and how well the map knows what they see.
 ///
-/// The one is asked that has waited longest, where its time counts by the share of its answers that were of use: cameras that the map
-/// knows are asked in turn, the others now and then. Of a stereo pair only the first camera is asked: both see the same.
+/// Those are asked that have waited longest, where their time counts by the share of their answers that were of use: cameras that the
+/// map knows are asked in turn, the others now and then. Of a stereo pair only the first camera is asked: both see the same.
 #[derive(Clone, Debug)]
 pub(crate) struct QueryCameras {
     /// Of all cameras.
@@ -51,15 +51,17 @@ impl QueryCameras {
         self.cameras.get(camera)
     }
 
-    /// The camera to ask about, of those that a frame has an image of.
-    pub(crate) fn next(&self, frame: &Frame) -> Option<usize> {
-        let there = self.asked.iter().filter(|asked| frame.images.contains_key(&asked.camera));
+    /// The cameras to ask about, `number` at most, of those that a frame has an image of: the most urgent first.
+    pub(crate) fn next(&self, frame: &Frame, number: usize) -> Vec<usize> {
         let urgency = |asked: &AskedCamera| {
             let waited = asked.last_ns.map_or(f64::INFINITY, |last_ns| (frame.stamp_ns - last_ns) as f64);
             waited * asked.success.max(LEAST_SUCCESS)
         };
+        let there = self.asked.iter().filter(|asked| frame.images.contains_key(&asked.camera));
+        let mut there: Vec<(f64, usize)> = there.map(|asked| (urgency(asked), asked.camera)).collect();
         // Of equal ones the first.
-        there.min_by(|a, b| urgency(b).total_cmp(&urgency(a))).map(|asked| asked.camera)
+        there.sort_by(|a, b| b.0.total_cmp(&a.0));
+        there.into_iter().take(number).map(|(_, camera)| camera).collect()
     }
 
     /// Notes that a camera is asked about.
@@ -113,7 +115,7 @@ mod tests {
         let (mut cameras, mut counts) = (cameras(), [0; 4]);
         for second in 0..200 {
             let frame = frame(second, &[0, 1, 2, 3]);
-            let camera = cameras.next(&frame).unwrap();
+            let [camera] = cameras.next(&frame, 1)[..] else { panic!("no camera") };
             cameras.note_query(camera, frame.stamp_ns);
             cameras.note_answer(camera, known.contains(&camera));
             counts[camera] += 1;
@@ -133,7 +135,19 @@ mod tests {
     #[test]
     fn a_camera_without_an_image_is_not_asked() {
         let cameras = cameras();
-        assert_eq!(cameras.next(&frame(0, &[1, 3])), Some(3));
-        assert_eq!(cameras.next(&frame(0, &[1])), None);
+        assert_eq!(cameras.next(&frame(0, &[1, 3]), 1), [3]);
+        assert!(cameras.next(&frame(0, &[1]), 1).is_empty());
+    }
+
+    #[test]
+    fn several_cameras_of_a_frame_are_asked_at_once() {
+        let mut cameras = cameras();
+        let all = [0, 1, 2, 3];
+        assert_eq!(cameras.next(&frame(0, &all), 2), [0, 2]);
+        for camera in [0, 2] {
+            cameras.note_query(camera, 0);
+        }
+        assert_eq!(cameras.next(&frame(1, &all), 2), [3, 0]);
+        assert_eq!(cameras.next(&frame(1, &all), 9), [3, 0, 2]);
     }
 }

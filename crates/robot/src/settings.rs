@@ -35,6 +35,8 @@ pub struct RobotSettings {
     pub realtime: bool,
     /// Least time between two images that features are extracted from, nanoseconds: half a second.
     pub query_interval_ns: i64,
+    /// Number of cameras of a frame that the map is asked about at once, at most: one, so that they take turns.
+    pub query_cameras: usize,
     /// How long a query may take: two seconds.
     pub query_deadline: Duration,
     /// Maximum number of keyframes in one answer: four.
@@ -56,6 +58,7 @@ impl RobotSettings {
             tracker: TrackerOptions::default(),
             realtime: false,
             query_interval_ns: QUERY_INTERVAL_NS,
+            query_cameras: 1,
             query_deadline: QUERY_DEADLINE,
             max_keyframes: MAX_KEYFRAMES,
             initial_poses: InitialPoses::default(),

@@ -124,6 +124,12 @@ pub struct RobotArguments {
     /// Least number of seconds between two map queries, where features are extracted from images
     #[arg(long, value_name = "SECONDS", default_value_t = 0.5, help_heading = MAP)]
     pub query_interval: f64,
+    /// Number of cameras of a rig that each map query asks about at once
+    ///
+    /// With one, the cameras take turns. With more, the pose in the map is found sooner where one camera alone sees too little of
+    /// it; each image takes as much time of the processor and of the map server as with one. A stereo pair counts as one camera.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64), help_heading = MAP)]
+    pub query_cameras: u16,
 
     /// Image features
     #[command(flatten)]
