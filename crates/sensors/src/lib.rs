@@ -13,6 +13,7 @@
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
+//! | [`four_seasons`] | the folder layout of the 4Seasons dataset |
 //! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
 //! | `ros` (feature `ros`); `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
@@ -58,6 +59,7 @@ mod clock_check;
 pub mod convert;
 mod error;
 mod euroc;
+pub mod four_seasons;
 mod frame;
 mod gnss_intake;
 mod gravity;

@@ -1,6 +1,6 @@
 //! Session files that robots hand in, as recordings: tracks, and features of keyframe candidates.
 
-use super::rows::Rows;
+use super::rows::{Rows, rows_of};
 use super::stored::Stored;
 use super::{Frame, ImuSample, PairCounts, SensorCalibration, SequenceError};
 use std::path::{Path, PathBuf};
@@ -38,19 +38,13 @@ impl SessionRecording {
     }
 }
 
-/// The elements of a list, one after the other.
-fn rows<T: Clone + Send + Sync + 'static>(all: &Arc<[T]>) -> Rows<'static, T> {
-    let all = Arc::clone(all);
-    Box::new((0..all.len()).map(move |at| Ok(all[at].clone())))
-}
-
 impl Stored for SessionRecording {
     fn frames(&self) -> Result<Rows<'static, Frame>, SequenceError> {
-        Ok(rows(&self.frames))
+        Ok(rows_of(&self.frames))
     }
 
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        Ok(rows(&self.readings))
+        Ok(rows_of(&self.readings))
     }
 
     /// The stamps of a session are those that the estimator used.

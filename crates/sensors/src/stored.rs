@@ -2,6 +2,7 @@
 
 use super::clock_check::ClockCheck;
 use super::euroc::Folder;
+use super::four_seasons;
 use super::image_check::ImageCheck;
 use super::imu_check::ImuCheck;
 use super::rows::Rows;
@@ -77,7 +78,7 @@ pub fn is_recording(path: &Path) -> bool {
     path.is_dir() || hand_in::Session::is_session(path)
 }
 
-/// Opens a recording with its calibration: a folder in the EuRoC layout, a bag, or a session file.
+/// Opens a recording with its calibration: a folder in the layout of EuRoC or of 4Seasons, a bag, or a session file.
 pub(crate) fn open(
     root: &Path,
     files: &CalibrationFiles,
@@ -102,6 +103,10 @@ fn open_any(
         let (session, calibration) = SessionRecording::open(root)?;
         return Ok((Arc::new(session), calibration));
     }
+    if four_seasons::is_recording(root) {
+        let (recording, calibration) = four_seasons::Recording::open(root, files)?;
+        return Ok((Arc::new(recording), calibration));
+    }
     let (folder, calibration) = Folder::open(root, files)?;
     Ok((Arc::new(folder), calibration))
 }
@@ -123,7 +128,7 @@ pub(crate) fn check_readings(
 }
 
 impl Sequence {
-    /// Reads a recording in the EuRoC layout, or a bag, into memory, and checks all of it. Images stay on disk.
+    /// Reads a folder in the layout of EuRoC or of 4Seasons, or a bag, into memory, and checks all of it. Images stay on disk.
     ///
     /// # Errors
     /// [`SequenceError`] with the file, the line, and what to do: a missing calibration or table, a row that is cut

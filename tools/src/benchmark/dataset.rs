@@ -9,7 +9,7 @@ const BAGS: [&str; 3] = ["bag", "mcap", "db3"];
 /// Recordings are looked for in the folder itself and in folders inside it: some datasets have one more a sequence.
 const DEPTH: usize = 2;
 
-/// The recordings in a folder by name: folders in the EuRoC layout, bags and folders of rosbag2. A name is a path relative to the
+/// The recordings in a folder by name: folders in the layout of EuRoC or of 4Seasons, bags and folders of rosbag2. A name is a path relative to the
 /// folder, without the ending of a bag.
 ///
 /// # Errors
@@ -22,7 +22,7 @@ pub fn recordings(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
     collect(folder, folder, DEPTH, &mut found)?;
     if found.is_empty() {
         bail!(
-            "{} holds no recording: looked for folders with mav0/ or metadata.yaml, and for .bag and .mcap",
+            "{} holds no recording: looked for folders with mav0/, metadata.yaml or times.txt (4Seasons), and for .bag and .mcap",
             folder.display()
         );
     }
@@ -46,7 +46,9 @@ fn collect(root: &Path, folder: &Path, depth: usize, found: &mut BTreeMap<String
 
 fn is_recording(path: &Path) -> bool {
     if path.is_dir() {
-        return path.join("mav0").is_dir() || path.join("metadata.yaml").is_file();
+        return path.join("mav0").is_dir()
+            || path.join("metadata.yaml").is_file()
+            || sensors::four_seasons::is_recording(path);
     }
     path.extension().and_then(|ending| ending.to_str()).is_some_and(|ending| BAGS.contains(&ending))
 }

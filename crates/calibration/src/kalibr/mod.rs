@@ -162,6 +162,22 @@ pub fn read_camera_chain(
     known: &[Option<Camera>],
     chosen: &[usize],
 ) -> Result<CameraChain, CalibrationError> {
+    read_camera_chain_at(path, known, chosen, None)
+}
+
+/// [`read_camera_chain`] of a file that may leave out where camera 0 is on the IMU.
+///
+/// # Arguments
+/// * `camera0_from_imu`: where it is then.
+///
+/// # Errors
+/// As [`read_camera_chain`].
+pub fn read_camera_chain_at(
+    path: &Path,
+    known: &[Option<Camera>],
+    chosen: &[usize],
+    camera0_from_imu: Option<Pose>,
+) -> Result<CameraChain, CalibrationError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
         if is_rig(&text) {
@@ -177,7 +193,7 @@ pub fn read_camera_chain(
     let needed = chosen.iter().max().map_or(0, |last| last + 1);
     for (index, camera) in chain.cameras().take(needed).enumerate() {
         let pose = match (
-            camera_from_imu(path, index, camera)?,
+            camera_from_imu(path, index, camera)?.or(camera0_from_imu.filter(|_| index == 0)),
             &camera.camera_from_previous,
             from_imu.last(),
         ) {

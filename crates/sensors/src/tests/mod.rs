@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod disorder;
+mod four_seasons;
 mod gravity;
 mod kalibr;
 mod other_programs;
