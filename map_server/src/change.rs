@@ -99,13 +99,11 @@ mod tests {
             }
         };
         let cross = |id: u64| KeyframeCrossCovariance { a: id, b: id + 1, block: Matrix6::identity() * 3e-3 };
+        let info = MapMetadata { version, ..MapMetadata::new("hall", "test", DescriptorKind::Binary, 32) };
         MapContents {
-            info: MapMetadata { version, ..MapMetadata::new("hall", "test", DescriptorKind::Binary, 32) },
             keyframes: (0..keyframes).map(keyframe).collect(),
-            landmarks: Vec::new(),
             cross_covariances: (0..keyframes - 1).map(cross).collect(),
-            common_errors: Vec::new(),
-            aliases: Vec::new(),
+            ..MapContents::empty(info)
         }
     }
 

@@ -66,16 +66,18 @@ impl MapSource {
                 Origin::Database(database) => LoadedMap::read(database).map_err(Into::into),
                 Origin::Releases(releases) => releases.load(),
             };
-            map.inspect(|map| _ = map.aliasing_rate())
+            map.inspect(LoadedMap::measure_aliasing_rates)
         });
         let map = loading.await?.with_context(|| format!("map {name} cannot be served"))?;
         let AliasingRate { views, aliased, .. } = map.aliasing_rate();
+        let kinds: Vec<String> = map.feature_kinds().into_iter().map(|kind| kind.extractor).collect();
         tracing::info!(
             name,
             aliasing = %format_args!("{aliased:.1} of {views:.1} views look like another place"),
             version = map.info().version,
             identity = %map.identity(),
             keyframes = map.keyframe_count(),
+            features = kinds.join(" and "),
             landmarks = map.landmark_count(),
             "loaded a map"
         );
@@ -99,7 +101,7 @@ impl MapSource {
         };
         let Some(map) = map else { return Ok(None) };
         map.keep_aliasing_rate(present);
-        map.aliasing_rate();
+        map.measure_aliasing_rates();
         ensure!(map.keyframe_count() > 0, "the new version has no keyframes");
         Ok(Some(map))
     }

@@ -43,7 +43,7 @@
 //! ```
 //! use protocol::{Format, LocalizeRequest, decode};
 //! let request: LocalizeRequest = decode(Format::Json, br#"{
-//!     "schema": 9,
+//!     "schema": 10,
 //!     "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": "none"},
 //!     "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["a0ff"]}}
 //! }"#)?;
@@ -89,7 +89,8 @@ pub use limits::{
 };
 pub use localize::{LocalizeReply, LocalizeRequest, LocalizedPose, PossiblePlace};
 pub use map::{
-    Extent, KeyframeLandmark, KeyframeMotion, KeyframeReply, MapChangeNotice, MapInfoReply, StatedChange,
+    Extent, FeatureKind, KeyframeLandmark, KeyframeMotion, KeyframeReply, MapChangeNotice, MapInfoReply,
+    StatedChange,
 };
 pub use matching::{
     CrossCovarianceBlock, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchOutcome, MatchReply,

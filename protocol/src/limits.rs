@@ -16,10 +16,12 @@
 /// * 6: the status of a match has `log_odds` and `log_prior_odds`, the reply to a localization query has `places`.
 /// * 7: the state of a robot that only starts is `starting` (was `lost`).
 /// * 8: cameras have the distortions `rational`, `thin_prism_fisheye`, `double_sphere`, `eucm` and `omni`.
+/// * 9: the notice of a change has `keyframe_motions`.
+/// * 10: the info of a map has `feature_kinds`.
 ///
 /// Messages of the schema before, from [`OLDEST_SCHEMA`] on, and of the one after are read as well: what a new schema adds is
 /// appended to the end of a message, and zero there means that it is not stated.
-pub const SCHEMA_VERSION: u16 = 9;
+pub const SCHEMA_VERSION: u16 = 10;
 
 /// The first schema that is read by the programs of the next one; those before were never released.
 pub const OLDEST_SCHEMA: u16 = 8;

@@ -25,9 +25,9 @@ pub struct MapInfoReply {
     pub database_schema: u16,
     /// Number of keyframes.
     pub keyframes: u64,
-    /// Number of landmarks.
+    /// Number of landmarks, of the first kind of features.
     pub landmarks: u64,
-    /// Number of observations of landmarks by keyframes.
+    /// Number of observations of these landmarks by keyframes.
     pub observations: u64,
     /// Number of cross-covariance blocks between keyframes.
     pub cross_covariances: u64,
@@ -37,14 +37,18 @@ pub struct MapInfoReply {
     /// Bounding box of its keyframes; none for an empty map.
     #[serde(default)]
     pub extent: Option<Extent>,
-    /// Required format of a query's descriptors; none for an empty map.
+    /// Format of a query's descriptors, of the first kind of features; none for an empty map.
     #[serde(default)]
     pub descriptors: Option<DescriptorFormat>,
-    /// Name and version of the extractor required for a query's features; empty if unknown.
+    /// Name and version of the extractor of a query's features, of the first kind; empty if unknown.
     #[serde(default)]
     pub extractor: String,
     /// Standard deviation of the map's pixels, px.
     pub sigma_map_px: f64,
+    /// The kinds of features that a query may have, the one of `descriptors` and `extractor` first. Empty where it is not stated: by a
+    /// server of an older schema, and for an empty map.
+    #[serde(default)]
+    pub feature_kinds: Vec<FeatureKind>,
 }
 
 impl Validate for MapInfoReply {
@@ -54,6 +58,31 @@ impl Validate for MapInfoReply {
         require_valid(self.extent.as_ref(), "extent")?;
         require_valid(self.descriptors.as_ref(), "descriptors")?;
         validate_extractor(&self.extractor)?;
+        require_positive(self.sigma_map_px, "sigma_map_px")?;
+        require_each(&self.feature_kinds, "feature_kinds", Validate::validate)
+    }
+}
+
+/// A kind of features of a map: a query with it is answered with its landmarks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FeatureKind {
+    /// Name and version of the extractor; empty if unknown.
+    #[serde(default)]
+    pub extractor: String,
+    /// Format of a query's descriptors.
+    pub descriptors: DescriptorFormat,
+    /// Number of landmarks.
+    pub landmarks: u64,
+    /// Number of observations of landmarks by keyframes.
+    pub observations: u64,
+    /// Standard deviation of the pixels, px.
+    pub sigma_map_px: f64,
+}
+
+impl Validate for FeatureKind {
+    fn validate(&self) -> Result<(), InvalidField> {
+        validate_extractor(&self.extractor)?;
+        require_valid(&self.descriptors, "descriptors")?;
         require_positive(self.sigma_map_px, "sigma_map_px")
     }
 }

@@ -84,7 +84,7 @@ impl Validate for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 9, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 10, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once

@@ -152,11 +152,11 @@ fn a_message_beyond_the_limit_is_not_sent() {
 /// Widths and counts written in JSON reserve nothing; deep nesting does not overflow the stack.
 #[test]
 fn hostile_json_is_refused_and_costs_nothing() {
-    let nested = format!("{{\"schema\":9,\"held\":{}", "[".repeat(1_000_000));
-    let unknown = format!("{{\"schema\":9,\"unknown\":{}", "[".repeat(1_000_000));
+    let nested = format!("{{\"schema\":10,\"held\":{}", "[".repeat(1_000_000));
+    let unknown = format!("{{\"schema\":10,\"unknown\":{}", "[".repeat(1_000_000));
     let features = r#"{"pixels": [], "descriptors": {"kind": "binary", "width": 65535, "hex": ["00"]}}"#;
-    let wide = format!("{{\"schema\":9,\"features\":{features}}}");
-    let huge = r#"{"schema":9,"max_keyframes":1e999}"#.to_owned();
+    let wide = format!("{{\"schema\":10,\"features\":{features}}}");
+    let huge = r#"{"schema":10,"max_keyframes":1e999}"#.to_owned();
     assert_costs_no_memory(|| {
         for text in
             [nested, unknown, wide, huge, "[1]".into(), "null".into(), String::new(), "\"\u{0}".into()]
@@ -184,7 +184,7 @@ fn another_schema_says_both_versions_and_what_to_do() {
     for other in [OLDEST_SCHEMA - 1, SCHEMA_VERSION + 2] {
         let payload = encode(Format::Bincode, &small_request()).unwrap();
         let bytes = sealed_as(other, &payload[HEADER..], MatchRequest::TAG);
-        let json = text.replacen("\"schema\":9", &format!("\"schema\":{other}"), 1);
+        let json = text.replacen("\"schema\":10", &format!("\"schema\":{other}"), 1);
         for (format, bytes) in [(Format::Bincode, &bytes[..]), (Format::Json, json.as_bytes())] {
             let error = refusal::<MatchRequest>(format, bytes);
             let CodecError::SchemaMismatch { found, expected: SCHEMA_VERSION } = error else {
@@ -192,12 +192,12 @@ fn another_schema_says_both_versions_and_what_to_do() {
             };
             assert_eq!(found, u64::from(other));
             let said = error.to_string();
-            let schemas = [format!("schema {other}"), "schema 9".to_owned(), "update".to_owned()];
+            let schemas = [format!("schema {other}"), "schema 10".to_owned(), "update".to_owned()];
             assert!(schemas.iter().all(|part| said.contains(part)), "{said}");
             assert_eq!(ErrorReply::from(&error).code, ErrorCode::SchemaMismatch);
         }
     }
-    let missing = text.replacen("\"schema\":9,", "", 1);
+    let missing = text.replacen("\"schema\":10,", "", 1);
     let error = refusal::<MatchRequest>(Format::Json, missing.as_bytes());
     assert!(matches!(error, CodecError::MissingSchema));
 }
@@ -212,28 +212,28 @@ fn the_next_schema_is_read_but_for_what_it_appends() {
         assert_eq!(decode::<MatchRequest>(Format::Bincode, &bytes).unwrap(), request);
     }
     let text = String::from_utf8(encode(Format::Json, &request).unwrap()).unwrap();
-    let next = text.replacen("\"schema\":9,", "\"schema\":10,\"floor\":3,", 1);
+    let next = text.replacen("\"schema\":10,", "\"schema\":11,\"floor\":3,", 1);
     assert_eq!(decode::<MatchRequest>(Format::Json, next.as_bytes()).unwrap(), request);
     // What cannot be read at all is another schema, and no damage.
     let cut = sealed(&payload[..payload.len() / 2]);
     assert!(matches!(
         refusal::<MatchRequest>(Format::Bincode, &cut),
-        CodecError::SchemaMismatch { found: 10, .. }
+        CodecError::SchemaMismatch { found: 11, .. }
     ));
 }
 
-/// Schema 9 appended the motions of keyframes to the notice of a change.
+/// Schema 10 appended the kinds of features to the info of a map.
 #[test]
 fn the_schema_before_is_read_without_what_it_did_not_have() {
-    let notice = example(map_changes());
-    let without = MapChangeNotice { keyframe_motions: Vec::new(), ..notice };
+    let info = example(map_infos());
+    let without = MapInfoReply { feature_kinds: Vec::new(), ..info };
     let payload = &encode(Format::Bincode, &without).unwrap()[HEADER..];
-    let former = sealed_as(SCHEMA_VERSION - 1, &payload[..payload.len() - 1], MapChangeNotice::TAG);
-    assert_eq!(decode::<MapChangeNotice>(Format::Bincode, &former).unwrap(), without);
+    let former = sealed_as(SCHEMA_VERSION - 1, &payload[..payload.len() - 1], MapInfoReply::TAG);
+    assert_eq!(decode::<MapInfoReply>(Format::Bincode, &former).unwrap(), without);
     let text = String::from_utf8(encode(Format::Json, &without).unwrap()).unwrap();
-    let former = text.replacen("\"schema\":9", "\"schema\":8", 1).replacen(",\"keyframe_motions\":[]", "", 1);
-    assert!(former.len() + 20 < text.len());
-    assert_eq!(decode::<MapChangeNotice>(Format::Json, former.as_bytes()).unwrap(), without);
+    let former = text.replacen("\"schema\":10", "\"schema\":9", 1).replacen(",\"feature_kinds\":[]", "", 1);
+    assert!(former.len() + 18 < text.len());
+    assert_eq!(decode::<MapInfoReply>(Format::Json, former.as_bytes()).unwrap(), without);
 }
 
 #[test]

@@ -98,7 +98,7 @@ fn json_is_what_the_documentation_shows() {
 #[test]
 fn json_written_by_hand_is_understood() {
     let text = r#"{
-        "schema": 9, "comment": "by hand",
+        "schema": 10, "comment": "by hand",
         "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": {"fov": 0.9}},
         "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["A0ff"]}},
         "prior": {"global_from_camera": {"rotation_wxyz": [0.707107, 0, 0.707107, 0], "translation": [1, 2, 3],

@@ -164,7 +164,7 @@ fn replies_that_contradict_themselves() {
     reply.outcome = if reply.fix.is_some() { MatchOutcome::NoMatch } else { MatchOutcome::Matched };
     assert!(reply.validate().is_err());
 
-    let both = "{\"schema\":9,\"type\":\"match_reply\",\"keyframe\":null,\"done\":null}";
+    let both = "{\"schema\":10,\"type\":\"match_reply\",\"keyframe\":null,\"done\":null}";
     let error = decode::<MatchReply>(Format::Json, both.as_bytes()).unwrap_err();
     assert!(error.to_string().contains("either `keyframe` or `done`"), "{error}");
 }

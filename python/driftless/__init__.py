@@ -7,7 +7,7 @@ parent frame (rad, m). Times are integer nanoseconds of the sensor's clock.
 from .errors import DriftlessError, NoAnswer, Refused, Unreadable
 from .features import extract_features
 from .fleet import Fleet
-from .messages import Keyframe, Localization, MapInfo, PossiblePlace, RobotOdometry, RobotPose, RobotStatus
+from .messages import FeatureKind, Keyframe, Localization, MapInfo, PossiblePlace, RobotOdometry, RobotPose, RobotStatus
 from .poses import Pose
 from .runs import Run
 from .subscription import Subscription
@@ -16,6 +16,7 @@ from .tracks import Errors, Track
 __all__ = [
     "DriftlessError",
     "Errors",
+    "FeatureKind",
     "Fleet",
     "Keyframe",
     "Localization",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .errors import Unreadable
 from .poses import Array, Pose, numbers
 
-SCHEMA = 9
+SCHEMA = 10
 """Version of the messages that this package writes. It reads those of the version before and after as well."""
 OLDEST_SCHEMA = 8
 """The first version that is read: those before were never released."""
@@ -37,6 +37,29 @@ def decode(payload: bytes | str, what: str, build: Callable[[Mapping[str, Any]],
         raise Unreadable(f"{what} is no message of Driftless: {error}") from error
 
 
+@dataclass(frozen=True)
+class FeatureKind:
+    """A kind of features of a map: a query with it is answered with its landmarks."""
+
+    extractor: str
+    """Empty where it is not known."""
+    descriptor_kind: str
+    """`binary`, `float` or `int8`."""
+    descriptor_bytes: int
+    landmarks: int
+    observations: int
+
+    @classmethod
+    def from_message(cls, message: Mapping[str, Any]) -> FeatureKind:
+        return cls(
+            extractor=message["extractor"],
+            descriptor_kind=message["descriptors"]["kind"],
+            descriptor_bytes=message["descriptors"]["width"],
+            landmarks=message["landmarks"],
+            observations=message["observations"],
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class MapInfo:
     """What a served map is."""
@@ -48,11 +71,13 @@ class MapInfo:
     landmarks: int
     observations: int
     extractor: str
-    """Features of queries must be of this extractor."""
+    """Of the first kind of features; queries may have another one of `feature_kinds`."""
     extent: tuple[Array, Array] | None
     """Smallest and largest coordinates of its keyframes, m."""
     gravity_in_global: Array | None
     """Unit vector; `None` where the map does not state it."""
+    feature_kinds: tuple[FeatureKind, ...]
+    """The kinds of features that queries may have; empty where an older server does not state them."""
 
     @classmethod
     def from_message(cls, message: Mapping[str, Any]) -> MapInfo:
@@ -67,6 +92,7 @@ class MapInfo:
             extractor=message["extractor"],
             extent=None if extent is None else (numbers(extent["min"], (3,)), numbers(extent["max"], (3,))),
             gravity_in_global=None if gravity is None else numbers(gravity, (3,)),
+            feature_kinds=tuple(FeatureKind.from_message(kind) for kind in message.get("feature_kinds", ())),
         )
 
 

@@ -46,7 +46,7 @@ def test_features_of_a_recording_are_localized(fleet, place):
     seen = [row for row in rows if row[0] == stamp]
     info, camera = fleet.info("place"), fleet.keyframes("place")[0].camera
     request = {
-        "schema": 9,
+        "schema": 10,
         "camera": camera,
         "features": {
             "pixels": [[float(row[1]), float(row[2])] for row in seen],
@@ -74,7 +74,7 @@ def test_an_image_of_elsewhere_is_not_localized(fleet, place):
 
 def test_refusals_are_in_words(fleet):
     with pytest.raises(Refused, match="bad_request") as caught:
-        fleet.localize("place", {"schema": 9, "camera": {}})
+        fleet.localize("place", {"schema": 10, "camera": {}})
     assert caught.value.code == "bad_request"
     with pytest.raises(DriftlessError, match="no name of a map"):
         fleet.info("place/*")
@@ -130,9 +130,9 @@ def test_a_subscription_keeps_the_newest_and_ends():
     [
         (b"\xff", "no message"),
         (b"[]", "no message"),
-        (b'{"schema": 3}', "schema 3, this package uses 9"),
-        (b'{"schema": 11}', "schema 11, this package uses 9"),
-        (b'{"schema": 10, "stamp_ns": 1, "floor": 3}', "'state' is missing"),
+        (b'{"schema": 3}', "schema 3, this package uses 10"),
+        (b'{"schema": 12}', "schema 12, this package uses 10"),
+        (b'{"schema": 11, "stamp_ns": 1, "floor": 3}', "'state' is missing"),
         (b'{"schema": 9, "stamp_ns": 1}', "'state' is missing"),
     ],
 )

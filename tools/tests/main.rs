@@ -15,6 +15,7 @@ mod devices;
 mod documentation;
 #[cfg(unix)]
 mod ending;
+mod features;
 mod fleet;
 #[cfg(target_os = "linux")]
 mod full_disk;

@@ -31,7 +31,7 @@
 //!     name: "hall".into(), version: 4, identity: MapIdentity::from_bytes([7; 16]), database_schema: 4, keyframes: 212,
 //!     landmarks: 9841, observations: 35120,
 //!     cross_covariances: 0, gravity_in_global: None, extent: None, descriptors: None, extractor: "orb-1".into(),
-//!     sigma_map_px: 1.0,
+//!     sigma_map_px: 1.0, feature_kinds: Vec::new(),
 //! };
 //! let payload = protocol::encode(Format::Bincode, &info)?;
 //! let reply = move |query: zenoh::query::Query| {

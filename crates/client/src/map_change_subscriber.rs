@@ -32,7 +32,7 @@ const REFILL: Duration = Duration::from_secs(10);
 /// let mut changes = MapChangeSubscriber::subscribe(&session, "hall").await?;
 ///
 /// // What a map server publishes when it replaces a map:
-/// let notice = r#"{"schema": 9, "map": "hall", "identity": "8f3c1e0a5b7d4926a1c04be2d97f6350",
+/// let notice = r#"{"schema": 10, "map": "hall", "identity": "8f3c1e0a5b7d4926a1c04be2d97f6350",
 ///     "from_version": 4, "version": 5, "moved": [41]}"#;
 /// session.put("map/hall/changes", notice).encoding(Format::Json.encoding()).await?;
 ///

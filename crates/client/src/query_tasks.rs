@@ -65,7 +65,7 @@ struct Pending<T> {
 /// let hall = MapClient::new(session, "hall")?;
 /// let mut queries = QueryTasks::new(hall, runtime.handle().clone(), Duration::from_millis(100));
 /// let request = protocol::decode(protocol::Format::Json, br#"{
-///     "schema": 9, "robot": "ada", "stamp_ns": 0, "max_keyframes": 4,
+///     "schema": 10, "robot": "ada", "stamp_ns": 0, "max_keyframes": 4,
 ///     "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": "none"},
 ///     "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["a0ff"]}}
 /// }"#)?;

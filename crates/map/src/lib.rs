@@ -7,6 +7,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`model`] | keyframes, landmarks, observations, cross-covariances, common errors |
+//! | `added` | further kinds of features, images of keyframes |
 //! | [`contents`] | a whole map in memory and its invariants |
 //! | [`file`](mod@file) | the bytes of a map: records, segments, manifest |
 //! | [`store`] | maps in folders: written, replaced and read |
@@ -15,6 +16,7 @@
 //! | [`sessions`] | the ledger: which recordings a map was made of |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod added;
 pub mod contents;
 pub mod difference;
 pub mod edit;
@@ -23,10 +25,11 @@ pub mod model;
 pub mod sessions;
 pub mod store;
 
+pub use added::{AddedFeatures, FeatureKind, KeptImage};
 pub use contents::{ContentsError, MapContents};
 pub use file::record::RecordError;
 pub use model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
     Observation,
 };
-pub use store::{STORE_SCHEMA, SavedMap, StoreError, StoredMap};
+pub use store::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use map::store::StoredImages;
 use map::{MapContents, StoreError, store};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use testing::{Place, PlaceOptions, copy_folder};
+use testing::{Place, PlaceOptions, add_images, add_second_kind, copy_folder};
 
 const DAMAGES: usize = 500;
 /// A small map is read in milliseconds.
@@ -86,8 +87,14 @@ fn read_whole(path: &Path) -> Result<MapContents, StoreError> {
 }
 
 fn read_by_landmark(path: &Path) -> Result<MapContents, StoreError> {
-    let (mut stored, landmarks) = store::open_map(path)?;
-    landmarks.read(|landmark| stored.contents.landmarks.push(landmark))?;
+    let (mut stored, mut landmarks) = store::open_map(path)?;
+    landmarks.read(0, |landmark| stored.contents.landmarks.push(landmark))?;
+    landmarks.read(1, |landmark| stored.contents.added_features[0].landmarks.push(landmark))?;
+    let mut images = StoredImages::open(path)?;
+    let keyframes: Vec<u64> = images.keyframes().collect();
+    for keyframe in keyframes {
+        stored.contents.images.extend(images.read(keyframe)?);
+    }
     Ok(stored.contents)
 }
 
@@ -96,7 +103,10 @@ fn every_damage_is_noticed_or_harmless() {
     let directory = tempfile::tempdir().unwrap();
     let (whole, damaged) = (directory.path().join("whole"), directory.path().join("damaged"));
     let place = Place::new(&PlaceOptions { keyframes: 6, landmarks: 80, ..PlaceOptions::default() });
-    store::save_map(&whole, &place.map, false).unwrap();
+    let mut contents = place.map.clone();
+    add_second_kind(&mut contents, "other-1");
+    add_images(&mut contents);
+    store::save_map(&whole, &contents, false).unwrap();
     let original: MapContents = store::load_map(&whole).unwrap().contents;
     let mut rng = StdRng::seed_from_u64(11);
     let (mut refused, mut started_with) = (0, 0);

@@ -5,24 +5,29 @@ use std::collections::{BTreeMap, BTreeSet};
 use map::{KeyframeCrossCovariance, Landmark, MapContents};
 use nalgebra::Vector3;
 use proptest::prelude::*;
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, add_images, add_second_kind};
 
 use map::edit::{
     MIN_OTHERS, Region, keyframes_where, redundant_keyframes, remove_keyframes, retain_landmarks,
 };
 
 fn place(seed: u64) -> MapContents {
-    Place::new(&PlaceOptions { seed, keyframes: 12, landmarks: 200, ..PlaceOptions::default() }).map
+    let options = PlaceOptions { seed, keyframes: 12, landmarks: 200, ..PlaceOptions::default() };
+    let mut map = Place::new(&options).map;
+    add_second_kind(&mut map, "other-1");
+    add_images(&mut map);
+    map
 }
 
-/// Positions of the landmarks in G, by id.
+/// Positions of the landmarks in G, of all kinds of features, by id.
 fn positions(contents: &MapContents) -> BTreeMap<u64, Vector3<f64>> {
     let pose = |id| {
         let keyframe = contents.keyframes.iter().find(|keyframe| keyframe.id == id).unwrap();
         keyframe.global_from_keyframe.pose
     };
     let position = |landmark: &Landmark| pose(landmark.anchor).transform(&landmark.position_in_anchor);
-    contents.landmarks.iter().map(|landmark| (landmark.id, position(landmark))).collect()
+    let landmarks = contents.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks);
+    landmarks.map(|landmark| (landmark.id, position(landmark))).collect()
 }
 
 proptest! {
@@ -40,10 +45,13 @@ proptest! {
         for (id, position) in &is {
             prop_assert!((position - was[id]).norm() < 1e-9);
         }
-        for landmark in &before.landmarks {
+        for landmark in before.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks) {
             let observed = landmark.observations.iter().any(|seen| !removed.contains(&seen.keyframe));
             prop_assert_eq!(observed, is.contains_key(&landmark.id));
         }
+        let left: Vec<u64> = after.images.iter().map(|image| image.keyframe).collect();
+        let expected = before.images.iter().map(|image| image.keyframe).filter(|id| !removed.contains(id));
+        prop_assert_eq!(left, expected.collect::<Vec<_>>());
         let both = |cross: &&KeyframeCrossCovariance| !removed.contains(&cross.a) && !removed.contains(&cross.b);
         prop_assert_eq!(after.cross_covariances.len(), before.cross_covariances.iter().filter(both).count());
     }
@@ -78,8 +86,9 @@ fn regions_choose_keyframes_and_landmarks() {
         region.contains(&keyframe.global_from_keyframe.pose.translation)
     });
     assert!(inside.contains(&contents.keyframes[5].id) && inside.len() < contents.keyframes.len());
-    let all = contents.landmarks.len();
+    let [all, of_second] = [contents.landmarks.len(), contents.added_features[0].landmarks.len()];
     retain_landmarks(&mut contents, |position| region.contains(position));
     contents.validate().unwrap();
+    assert!(contents.added_features[0].landmarks.len() < of_second);
     assert!(contents.landmarks.len() < all && positions(&contents).values().all(|at| at.x >= half));
 }

@@ -8,12 +8,15 @@ use map::store::{StoreError, load_map, open_map, save_map};
 use serde_json::{Value, json};
 use testing::{Place, PlaceOptions};
 
-/// Writes a manifest and the file of its version, 1.
 fn write(path: &Path, manifest: &Value, segments: &[u8]) {
+    forge(path, map::STORE_SCHEMA, manifest, segments);
+}
+
+/// Writes a manifest and the file of its version, 1, with right checksums.
+pub(crate) fn forge(path: &Path, schema: u16, manifest: &Value, segments: &[u8]) {
     let text = serde_json::to_string(manifest).unwrap();
     let sealed = format!(
-        "{{\"schema\": {}, \"sha256\": \"{}\", \"manifest\": {text}}}",
-        map::STORE_SCHEMA,
+        "{{\"schema\": {schema}, \"sha256\": \"{}\", \"manifest\": {text}}}",
         sha256(text.as_bytes())
     );
     std::fs::write(path.join("manifest.json"), sealed).unwrap();

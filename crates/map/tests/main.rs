@@ -1,6 +1,7 @@
 //! All integration tests of the crate, in one program.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod added;
 mod aliases;
 mod common_errors;
 mod crossing;

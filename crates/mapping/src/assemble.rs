@@ -17,7 +17,7 @@ use super::keyframe_view::{FeatureId, KeyframeImage, KeyframeView, keyframes};
 use super::options::BuildOptions;
 use super::report::{BuildReport, Spread};
 
-/// Ids count from 1, as in the recorded maps, image by image of each view.
+/// Ids count from 1, as in the recorded maps, image by image of each view; [`Rig::group_of_keyframe`] is its inverse.
 pub(super) fn keyframe_id(rig: &Rig, view: usize, group: usize) -> KeyframeId {
     (view * rig.groups.len() + group) as KeyframeId + 1
 }

@@ -7,6 +7,7 @@ use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::model::{GAUGE_SIGMA_P, GAUGE_SIGMA_YAW};
 use nalgebra::Matrix6;
+use protocol::KeyframeId;
 use sensors::{CameraSensor, camera_groups};
 
 use super::keyframe_view::{FeatureId, KeyframeView};
@@ -49,9 +50,26 @@ impl Rig {
         }
     }
 
+    /// Cameras of views that have one image each and poses of their own: each is camera 0 of its body.
+    pub(super) fn of_single(cameras: Vec<Camera>) -> Rig {
+        let groups = (0..cameras.len()).map(|first| CameraGroup { first, second: None }).collect();
+        let mounted = |camera: Camera| MountedCamera::new(camera, &Pose::identity());
+        Rig {
+            groups,
+            mounted: vec![None; cameras.len()],
+            seconds: vec![None; cameras.len()],
+            cameras: cameras.into_iter().map(mounted).collect(),
+        }
+    }
+
     /// The camera whose images become the keyframes of a group.
     pub(super) fn camera(&self, group: usize) -> &Camera {
         &self.cameras[self.groups[group].first].camera
+    }
+
+    /// The group of a keyframe, by its id in the map of the recording alone: see [`keyframe_id`](super::assemble::keyframe_id).
+    pub(super) fn group_of_keyframe(&self, id: KeyframeId) -> usize {
+        (id.saturating_sub(1) % self.groups.len().max(1) as u64) as usize
     }
 
     /// The first camera of the stereo pair of a camera, or the camera itself.

@@ -53,6 +53,14 @@ pub enum BuildError {
         /// The camera, 0 or 1.
         camera: usize,
     },
+    /// The image of a keyframe cannot be kept.
+    #[error("{image} cannot be kept in the map: {source}")]
+    Encoding {
+        /// The file.
+        image: String,
+        /// What is wrong.
+        source: vision::ImageError,
+    },
     /// The extractor failed.
     #[error("{image}: {source}")]
     Extraction {

@@ -15,6 +15,8 @@
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
 //! | places that look alike | `aliasing` |
+//! | images of keyframes are kept | `kept_images` |
+//! | features of a further kind, in images that were kept | `added_features`, `correlations` |
 //! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `stored_poses`, `stored_landmarks` |
@@ -33,16 +35,19 @@
 //! `cargo run --release -p driftless-mapping --example build_map`.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod added_features;
 mod aliasing;
 mod assemble;
 mod camera;
 mod colmap;
+mod correlations;
 mod error;
 mod extension;
 mod feature_source;
 mod gyroscope_check;
 mod imu_alignment;
 mod joint_covariance;
+mod kept_images;
 mod keyframe_selection;
 mod keyframe_view;
 mod loop_closure;
@@ -77,11 +82,13 @@ mod tracks;
 mod triangulation;
 mod without_references;
 
+pub use added_features::{AddFeaturesError, AddOptions, AddedReport, add_features};
 pub use aliasing::find_aliases;
 pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
 pub use extension::{ExtendError, ExtensionReport, extend_map};
 pub use feature_source::Extraction;
+pub use kept_images::{KeptImages, keep_images};
 pub use map_frame::map_in_frame;
 pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;

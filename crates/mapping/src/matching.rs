@@ -2,11 +2,12 @@
 
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use std::collections::BTreeSet;
 use vision::MatchOptions;
 
 use super::camera::Rig;
+use super::correlations::Correlations;
 use super::error::BuildError;
 use super::keyframe_view::KeyframeView;
 use super::options::BuildOptions;
@@ -114,10 +115,14 @@ fn spatial_distance(a: &PosedImage, b: &PosedImage) -> Option<f64> {
 }
 
 /// Matches two images: nearest descriptors in both directions with a ratio test, then the epipolar constraint.
+///
+/// # Arguments
+/// * `correlations`: of the poses of the views; of views whose images are of mounted cameras they must be independent.
 pub(super) fn match_pair(
     rig: &Rig,
     views: &[KeyframeView<'_>],
     (first, second): (ImageId, ImageId),
+    correlations: &Correlations<'_>,
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
@@ -132,8 +137,9 @@ pub(super) fn match_pair(
         rays: &views[view].rays[views[view].first_feature(image)..],
     };
     let images = [posed(first, a.group), posed(second, b.group)];
+    let cross = correlations.between(first.0, second.0);
     let possible = |found: &vision::Match| {
-        epipolar_error(&images, [found.query, found.train], sigma_px)
+        epipolar_error(&images, cross.as_ref(), [found.query, found.train], sigma_px)
             .is_some_and(|sigmas| sigmas <= EPIPOLAR_GATE)
     };
     let offsets = [first, second].map(|(view, image)| views[view].first_feature(image));
@@ -163,7 +169,15 @@ struct MatchedImage<'a> {
 /// e = c . (d1 x d2),   c = p2 - p1,   d = R [alpha, beta, 1]        (the volume that the three vectors span)
 /// de/dp2 = d1 x d2 = -de/dp1,   de/dtheta1 = d1 x (d2 x c),   de/dtheta2 = d2 x (c x d1)
 /// ```
-fn epipolar_error(images: &[MatchedImage<'_>; 2], features: [usize; 2], sigma_px: f64) -> Option<f64> {
+///
+/// # Arguments
+/// * `cross`: covariance of the errors of the first pose with those of the second; `None` where they are independent.
+fn epipolar_error(
+    images: &[MatchedImage<'_>; 2],
+    cross: Option<&Matrix6<f64>>,
+    features: [usize; 2],
+    sigma_px: f64,
+) -> Option<f64> {
     let poses = [&images[0].pose, &images[1].pose];
     let rotation = poses.map(|pose| pose.pose.rotation.to_rotation_matrix().into_inner());
     let rays = [images[0].rays[features[0]]?, images[1].rays[features[1]]?];
@@ -171,21 +185,23 @@ fn epipolar_error(images: &[MatchedImage<'_>; 2], features: [usize; 2], sigma_px
     let baseline = poses[1].pose.translation - poses[0].pose.translation;
     let normal = d[0].cross(&d[1]);
     let by_direction = [d[1].cross(&baseline), baseline.cross(&d[0])];
+    let by_pose = [(0, -normal), (1, normal)].map(|(index, by_position): (usize, Vector3<f64>)| {
+        let by_rotation = d[index].cross(&by_direction[index]);
+        let mut gradient = Vector6::zeros();
+        gradient.fixed_rows_mut::<3>(0).copy_from(&by_rotation);
+        gradient.fixed_rows_mut::<3>(3).copy_from(&by_position);
+        gradient
+    });
     let mut variance = 0.0;
     for (index, image) in images.iter().enumerate() {
-        let covariance = &image.pose.covariance;
-        let by_rotation = d[index].cross(&by_direction[index]);
-        let rotation_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let position_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
-        variance += quadratic(&rotation_covariance, &by_rotation) + quadratic(&position_covariance, &normal);
+        variance += by_pose[index].dot(&(image.pose.covariance * by_pose[index]));
         variance +=
             pixel_variance(image.camera, &rotation[index], &rays[index], &by_direction[index], sigma_px)?;
     }
+    if let Some(cross) = cross {
+        variance += 2.0 * by_pose[0].dot(&(cross * by_pose[1]));
+    }
     Some(baseline.dot(&normal).abs() / variance.sqrt())
-}
-
-fn quadratic(covariance: &Matrix3<f64>, direction: &Vector3<f64>) -> f64 {
-    direction.dot(&(covariance * direction))
 }
 
 /// Variance of the epipolar error from one feature's pixel.
@@ -200,4 +216,42 @@ fn pixel_variance(
     let by_ray = (rotation.transpose() * by_direction).xy();
     let by_pixel = pixel_by_ray.try_inverse()?.transpose() * by_ray;
     Some(by_pixel.norm_squared() * sigma_px * sigma_px)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::correlations::tests::Neighbours;
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+
+    /// Mean squared epipolar error of a point that both images see, in standard deviations, over poses that err as a map states.
+    fn mean_square(is_correlated: bool) -> f64 {
+        const SAMPLES: usize = 4000;
+        let mut rng = StdRng::seed_from_u64(3);
+        let neighbours = Neighbours::new(&mut rng);
+        let point = Vector3::new(0.7, -0.4, 5.0);
+        let rays = neighbours.truth.map(|pose| {
+            let in_camera = pose.inverse_transform(&point);
+            vec![Some(in_camera.xy() / in_camera.z)]
+        });
+        let camera = testing::camera();
+        let correlations = neighbours.correlations();
+        let cross = correlations.between(0, 1).filter(|_| is_correlated);
+        let square = |poses: [PoseWithCovariance; 2]| {
+            let images = [0, 1].map(|at| MatchedImage { camera: &camera, pose: poses[at], rays: &rays[at] });
+            epipolar_error(&images, cross.as_ref(), [0, 0], 1e-6).unwrap().powi(2)
+        };
+        (0..SAMPLES).map(|_| square(neighbours.sample(&mut rng))).sum::<f64>() / SAMPLES as f64
+    }
+
+    #[test]
+    fn the_epipolar_error_is_as_large_as_correlated_poses_make_it() {
+        // Of 4,000 samples the mean has a standard deviation of 0.022.
+        let mean = mean_square(true);
+        assert!((0.9..1.1).contains(&mean), "{mean}");
+        // Taken for independent, the poses of neighbours would admit matches that are far from the epipolar line.
+        let mean = mean_square(false);
+        assert!(mean < 0.1, "{mean}");
+    }
 }

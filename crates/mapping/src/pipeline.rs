@@ -10,6 +10,7 @@ use sensors::{ReferencePose, Sequence};
 use super::aliasing::find_aliases;
 use super::assemble;
 use super::camera::Rig;
+use super::correlations::Correlations;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::gyroscope_check::check_turns;
@@ -65,8 +66,10 @@ pub fn build_map(
     make_still(&mut views, &sequence.cameras, &rig, &buffered(&sequence.imu_samples), |_| None);
     let mut report = BuildReport::of_views(&views, source.unreadable);
     let pairs = matching::pairs(&rig, &views, options);
-    let matches = match_all(&rig, &views, &pairs, options, &mut report, progress)?;
-    let landmarks = triangulate_all(&rig, &views, matches, Vec::new(), options, &mut report, progress);
+    let independent = &Correlations::Independent;
+    let matches = match_all(&rig, &views, &pairs, independent, options, &mut report, progress)?;
+    let landmarks =
+        triangulate_all(&rig, (&views, independent), matches, Vec::new(), options, &mut report, progress);
     let constraints = Constraints::of_references(&views);
     let poses = views.iter().map(|view| view.prior.pose).collect();
     let mut bundle = Bundle { poses, motions: Vec::new(), landmarks };
@@ -110,6 +113,7 @@ pub(super) fn match_all(
     rig: &Rig,
     views: &[KeyframeView<'_>],
     pairs: &[(ImageId, ImageId)],
+    correlations: &Correlations<'_>,
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
@@ -117,7 +121,8 @@ pub(super) fn match_all(
     let sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
     report.pairs += pairs.len();
     let mut matches = Vec::new();
-    let of_pair = |pair: usize| matching::match_pair(rig, views, pairs[pair], sigma_px, options);
+    let of_pair =
+        |pair: usize| matching::match_pair(rig, views, pairs[pair], correlations, sigma_px, options);
     let show = |done| progress(Stage::Matching, done, pairs.len());
     for of_pair in parallel::map(pairs.len(), of_pair, show) {
         matches.extend(of_pair?);
@@ -133,7 +138,7 @@ pub(super) fn match_all(
 /// * `tracked`: further tracks, of points without descriptors.
 pub(super) fn triangulate_all(
     rig: &Rig,
-    views: &[KeyframeView<'_>],
+    (views, correlations): (&[KeyframeView<'_>], &Correlations<'_>),
     matches: Vec<FeatureMatch>,
     tracked: Vec<Vec<FeatureId>>,
     options: &BuildOptions,
@@ -143,7 +148,8 @@ pub(super) fn triangulate_all(
     let of_view = |view: &KeyframeView<'_>| view.images.iter().map(|image| image.features.len()).collect();
     let counts: Vec<Vec<usize>> = views.iter().map(of_view).collect();
     let poses: Vec<ViewPose> = views.iter().map(|view| ViewPose::from(&view.prior.pose)).collect();
-    let scene = Scene { rig, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_SIGMA_PX) };
+    let sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
+    let scene = Scene { rig, views, poses: &poses, correlations, sigma_px };
     let mut tracks = tracks::chain(&counts, matches.clone());
     tracks.extend(tracks::stereo_singles(views, &tracks));
     tracks.extend(tracked);

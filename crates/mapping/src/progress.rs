@@ -8,6 +8,8 @@ pub enum Stage {
     Odometry,
     /// Selecting keyframes and extracting their features.
     KeyframeSelection,
+    /// Extracting features of a further kind in images that a map keeps.
+    Extraction,
     /// Finding places that are seen again.
     PlaceRecognition,
     /// Matching pairs of keyframes.
@@ -28,6 +30,7 @@ impl Stage {
         match self {
             Self::Odometry => "odometry",
             Self::KeyframeSelection => "keyframes",
+            Self::Extraction => "extraction",
             Self::PlaceRecognition => "places",
             Self::Matching => "matching",
             Self::Triangulation => "triangulation",

@@ -11,6 +11,7 @@ use sensors::Sequence;
 use vision::{MatchOptions, match_descriptors};
 
 use super::camera::Rig;
+use super::correlations::Correlations;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource, ImageWithFeatures};
 use super::imu_alignment::ImuAlignment;
@@ -88,7 +89,8 @@ fn landmarks<'a>(
     let images = vec![KeyframeImage { group: 0, features }];
     let view = [KeyframeView { stamp_ns, images, tracked: Vec::new(), stereo, rays, prior }];
     let poses = [ViewPose::from(&Pose::identity())];
-    let scene = Scene { rig, views: &view, poses: &poses, sigma_px: FIRST_SIGMA_PX };
+    let correlations = &Correlations::Independent;
+    let scene = Scene { rig, views: &view, poses: &poses, correlations, sigma_px: FIRST_SIGMA_PX };
     let point = |feature: usize| {
         view[0].stereo_pixel(feature)?;
         let (landmark, _) = triangulate(&scene, &[(0, feature)], 2);

@@ -23,6 +23,7 @@ use sensors::Sequence;
 use super::aliasing::find_aliases;
 use super::assemble;
 use super::camera::Rig;
+use super::correlations::Correlations;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::joint_covariance::JointCovariance;
@@ -278,14 +279,16 @@ impl<'a, 'p> Builder<'a, 'p> {
     }
 
     fn matches(&mut self, pairs: &[(ImageId, ImageId)]) -> Result<Vec<FeatureMatch>, BuildError> {
-        match_all(&self.rig, &self.views, pairs, &self.options, &mut self.report, self.progress)
+        let independent = &Correlations::Independent;
+        let report = &mut self.report;
+        match_all(&self.rig, &self.views, pairs, independent, &self.options, report, self.progress)
     }
 
     fn landmarks(&mut self, matches: &[FeatureMatch]) -> Vec<InverseDepthLandmark> {
         let (matches, tracks) = (matches.to_vec(), self.tracks.clone());
         triangulate_all(
             &self.rig,
-            &self.views,
+            (&self.views, &Correlations::Independent),
             matches,
             tracks,
             &self.options,

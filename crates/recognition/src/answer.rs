@@ -51,14 +51,14 @@ pub(crate) fn matched_keyframes(
     let replies = sent.iter().enumerate().map(|(rank, &keyframe)| {
         let matches =
             verified.get(rank).map(|verified| landmark_matches(map, verified, &sent, &held, &mut taken));
-        let id = map.keyframes[keyframe].id;
+        let id = map.poses.keyframes[keyframe].id;
         let is_known = knows_held && held.contains(&id);
         let common = if is_known { None } else { map.common_error(id) };
         MatchedKeyframe {
             map_version: map.info.version,
             map_identity: map.identity,
             rank: rank as u16,
-            keyframe: record(&map.keyframes[keyframe]),
+            keyframe: record(&map.poses.keyframes[keyframe]),
             common_error: common.map(CommonError::columns).unwrap_or_default(),
             cross_covariances: cross_covariances(map, id, &sent[..rank], &held, is_known),
             matches: matches.unwrap_or_default(),
@@ -102,7 +102,7 @@ fn landmark_matches(
     held: &HashSet<KeyframeId>,
     taken: &mut TakenMatches,
 ) -> Vec<LandmarkMatch> {
-    let id_of = |keyframe: usize| map.keyframes[keyframe].id;
+    let id_of = |keyframe: usize| map.poses.keyframes[keyframe].id;
     let observed = map.observations.of(verified.keyframe);
     let mut matches = Vec::with_capacity(verified.inliers.len());
     for inlier in &verified.inliers {
@@ -145,10 +145,10 @@ fn cross_covariances(
     held: &HashSet<KeyframeId>,
     is_known: bool,
 ) -> Vec<CrossCovarianceBlock> {
-    let smaller: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].id).collect();
+    let smaller: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.poses.keyframes[at].id).collect();
     let wanted = |other: KeyframeId| if held.contains(&other) { !is_known } else { smaller.contains(&other) };
     // What the map lists for this keyframe is looked through, not what is held: that may be as long as the sender likes.
-    let listed = map.cross_covariances.of(id).filter(|&(other, _)| wanted(other));
+    let listed = map.poses.cross_covariances.of(id).filter(|&(other, _)| wanted(other));
     listed.map(|(other, block)| CrossCovarianceBlock { other, block }).collect()
 }
 

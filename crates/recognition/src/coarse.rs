@@ -13,7 +13,8 @@ use vision::{DescriptorError, DescriptorView};
 
 use super::elements::Observers;
 use super::index::{FULL_VOTE, LandmarkIndex, LandmarkIndexBuilder, Votes};
-use super::query::{QueryError, view_of};
+use super::kinds::view_of;
+use super::query::QueryError;
 
 /// So many keyframes of a part, those with the most votes, make its rank.
 const RANKING_KEYFRAMES: usize = 6;
@@ -117,7 +118,7 @@ impl CoarseIndex {
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn rank(&self, features: &FeatureSet) -> Result<Vec<RankedPart>, QueryError> {
-        let descriptors = view_of(&self.info, features)?;
+        let descriptors = view_of(&self.info, features, || vec![self.info.feature_kind()])?;
         let voters = some_of(descriptors, VOTERS);
         let votes = self.index.vote(view_like(descriptors, &voters)?, &self.observers, self.keyframes)?;
         let ranked = self.parts.iter().filter_map(|part| {
@@ -141,7 +142,7 @@ impl CoarseIndex {
         features: &FeatureSet,
         near: &BTreeMap<u32, Vec<u32>>,
     ) -> Result<Vec<RankedPart>, QueryError> {
-        let descriptors = view_of(&self.info, features)?;
+        let descriptors = view_of(&self.info, features, || vec![self.info.feature_kind()])?;
         let voters = some_of(descriptors, VOTERS_NEAR);
         let (parts, keyframes): (Vec<&Part>, Vec<&Vec<u32>>) =
             self.parts.iter().filter_map(|part| Some((part, near.get(&part.number)?))).unzip();

@@ -6,7 +6,7 @@ use protocol::KeyframeId;
 use serde::{Deserialize, Serialize};
 
 /// Blocks of the joint covariance, each pair of keyframes once.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 pub(crate) struct CrossCovariances {
     /// By (a, b), `a < b`.
     #[serde(deserialize_with = "vision::exact")]

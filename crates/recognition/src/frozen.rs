@@ -4,8 +4,10 @@
 //! whoever keeps them makes sure that they come back as they were.
 
 use std::io::{Read, Write};
+use std::sync::Arc;
 
 use super::loaded_map::LoadedMap;
+use super::poses::MapPoses;
 
 /// Why a map was not written, or not read back.
 #[derive(Debug, thiserror::Error)]
@@ -22,7 +24,10 @@ impl LoadedMap {
     /// # Errors
     /// What the writer reports.
     pub fn freeze(&self, writer: impl Write) -> Result<(), FrozenError> {
-        bincode::serialize_into(writer, self).map_err(|source| FrozenError { done: "written", source })
+        let mut writer = writer;
+        bincode::serialize_into(&mut writer, &*self.poses)
+            .and_then(|()| bincode::serialize_into(&mut writer, self))
+            .map_err(|source| FrozenError { done: "written", source })
     }
 
     /// Reads what [`LoadedMap::freeze`] of this very program wrote; lengths are believed.
@@ -30,12 +35,21 @@ impl LoadedMap {
     /// # Errors
     /// What the reader reports, and bytes that are no map.
     pub fn thaw(reader: impl Read) -> Result<LoadedMap, FrozenError> {
-        bincode::deserialize_from(reader).map_err(|source| FrozenError { done: "read back", source })
+        let failed = |source| FrozenError { done: "read back", source };
+        let mut reader = reader;
+        let poses: MapPoses = bincode::deserialize_from(&mut reader).map_err(failed)?;
+        let mut map: LoadedMap = bincode::deserialize_from(&mut reader).map_err(failed)?;
+        map.poses = Arc::new(poses);
+        for added in &mut map.added {
+            added.poses = Arc::clone(&map.poses);
+        }
+        Ok(map)
     }
 
     /// Bytes of memory that the map takes: those of its arrays, which are as long in memory as they are when written.
     pub fn bytes_in_memory(&self) -> usize {
-        let written = bincode::serialized_size(self).unwrap_or(0);
+        let [poses, others] = [bincode::serialized_size(&*self.poses), bincode::serialized_size(self)];
+        let written = poses.unwrap_or(0) + others.unwrap_or(0);
         usize::try_from(written).unwrap_or(usize::MAX)
     }
 }

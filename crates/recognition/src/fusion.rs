@@ -134,11 +134,11 @@ fn root_covariance(map: &LoadedMap, place: &[VerifiedKeyframe]) -> DMatrix<f64> 
     let size = 6 * place.len();
     let mut covariance = DMatrix::<f64>::zeros(size, size);
     for (row, a) in place.iter().enumerate() {
-        let a = &map.keyframes[a.keyframe];
+        let a = &map.poses.keyframes[a.keyframe];
         let own = &a.global_from_keyframe.covariance;
         covariance.fixed_view_mut::<6, 6>(6 * row, 6 * row).copy_from(own);
         for (column, b) in place.iter().enumerate().take(row) {
-            let b = &map.keyframes[b.keyframe];
+            let b = &map.poses.keyframes[b.keyframe];
             if let Some(block) = map.joint_covariance(a.id, b.id) {
                 covariance.fixed_view_mut::<6, 6>(6 * row, 6 * column).copy_from(&block);
                 covariance.fixed_view_mut::<6, 6>(6 * column, 6 * row).copy_from(&block.transpose());
@@ -227,7 +227,7 @@ impl Problem<'_> {
     fn residuals(&self, state: &State) -> Vec<MatchResidual> {
         let mut residuals = Vec::new();
         for (number, verified) in self.place.iter().enumerate() {
-            let keyframe = &self.map.keyframes[verified.keyframe];
+            let keyframe = &self.map.poses.keyframes[verified.keyframe];
             let pose_error: Vector6<f64> = state.errors.fixed_rows::<6>(6 * number).into_owned();
             let global_from_keyframe = keyframe.global_from_keyframe.pose.retract(&pose_error);
             for (found, point) in verified.matches.iter().zip(&verified.points) {

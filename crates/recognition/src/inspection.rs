@@ -129,7 +129,17 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Inspection, QueryError> {
         let reply = self.localize(request, options)?;
-        if self.keyframes.is_empty() || request.features.len() < options.min_inliers {
+        self.for_features(&request.features).inspect_of_kind(request, reply, options)
+    }
+
+    /// The comparison with this kind of features.
+    fn inspect_of_kind(
+        &self,
+        request: &LocalizeRequest,
+        reply: LocalizeReply,
+        options: &RecognitionOptions,
+    ) -> Result<Inspection, QueryError> {
+        if self.poses.keyframes.is_empty() || request.features.len() < options.min_inliers {
             return Ok(Inspection { reply, keyframes: Vec::new() });
         }
         let mut compared = Vec::new();
@@ -164,7 +174,8 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Option<InspectedKeyframe>, QueryError> {
         let Some(at) = self.index_of(id) else { return Ok(None) };
-        Ok(Some(self.inspector(request, options, None)?.keyframe(at)?.0))
+        let map = self.for_features(&request.features);
+        Ok(Some(map.inspector(request, options, None)?.keyframe(at)?.0))
     }
 
     fn inspector<'a>(
@@ -179,7 +190,7 @@ impl LoadedMap {
             Image { camera: &request.camera, features: &request.features, descriptors, gravity_in_camera };
         let votes = match near {
             Some(near) => self.votes_near(descriptors, near)?,
-            None => self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len())?,
+            None => self.index.vote(descriptors, &self.landmarks.observers, self.poses.keyframes.len())?,
         };
         Ok(Inspector { map: self, image, votes, options })
     }
@@ -208,7 +219,7 @@ impl Inspector<'_> {
         let places = group_places(&mut verified, self.options);
         let hypotheses = self.map.hypotheses(&self.image, &verified, &places, 0.0);
         if let Consensus::Place(place) = find_consensus(verified, &places, &hypotheses, self.options) {
-            let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].id;
+            let id = |verified: &VerifiedKeyframe| self.map.poses.keyframes[verified.keyframe].id;
             let place: HashSet<KeyframeId> = place.iter().map(id).collect();
             for keyframe in &mut inspected {
                 keyframe.in_answer = place.contains(&keyframe.id);
@@ -218,7 +229,7 @@ impl Inspector<'_> {
     }
 
     fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
-        let keyframe = &self.map.keyframes[at];
+        let keyframe = &self.map.poses.keyframes[at];
         let match_options = self.map.match_options();
         let mut matcher = Matcher::new(self.image.descriptors);
         let matches = matcher.matches(self.map.descriptors_of(at)?, &match_options)?;
@@ -250,7 +261,7 @@ impl Inspector<'_> {
         let observed = self.map.observations.of(at);
         let predicted = found.and_then(|found| {
             let point = self.map.observed_point(at, one.train);
-            let in_global = self.map.keyframes[at].global_from_keyframe.pose.transform(&point);
+            let in_global = self.map.poses.keyframes[at].global_from_keyframe.pose.transform(&point);
             let in_camera = found.global_from_camera.pose.inverse_transform(&in_global);
             self.image.camera.project(&in_camera).ok()
         });

@@ -13,8 +13,9 @@
 //! | `coarse` | votes for the parts of a large map | which of them are searched |
 //! | `parts` | do parts that were searched by themselves agree? | one of them, or none |
 //! | `inspection` | all intermediate results | for diagnosis |
+//! | `kinds` | the kind of features that an image has | which of a map's kinds is searched |
 //!
-//! [`LoadedMap`] holds a map in memory (`loaded_map`, `loading`, `elements`) and answers the queries (`query`, `search`).
+//! [`LoadedMap`] holds a map in memory (`loaded_map`, `loading`, `poses`, `elements`) and answers the queries (`query`, `search`).
 //!
 //! A prior pose restricts the candidates to keyframes near it that do not look the other way, and ends their comparison
 //! once enough of them agree with it. A wrong prior costs time, never the answer: where no keyframe near it is verified,
@@ -35,12 +36,14 @@ mod frozen;
 mod fusion;
 mod index;
 mod inspection;
+mod kinds;
 mod loaded_map;
 mod loading;
 mod options;
 mod parts;
 mod place;
 mod places;
+mod poses;
 mod query;
 mod report;
 mod search;

@@ -1,19 +1,19 @@
 //! A map in memory, indexed for queries.
 
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::{Matrix6, Vector3};
 use protocol::{KeyframeId, MapIdentity};
 use serde::{Deserialize, Serialize};
 use vision::{DescriptorError, DescriptorView, MatchOptions, Metric};
 
-use super::cross_covariances::CrossCovariances;
-use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
+use super::elements::{Landmarks, Observations, point_in_keyframe};
 use super::evidence::AliasingRate;
 use super::extractor_statistics::ExtractorStatistics;
 use super::index::LandmarkIndex;
-use super::loading::MapLoader;
+use super::loading::{LandmarkPlace, LoadedParts, MapLoader, joined};
+use super::poses::MapPoses;
 use map::contents::{ContentsError, MapContents, ObservationCounts};
 use map::difference::Compared;
 use map::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, MapMetadata};
@@ -34,21 +34,16 @@ use map::store::{self, StoreError, StoredLandmarks, StoredMap};
 /// ```
 #[derive(Serialize, Deserialize)]
 pub struct LoadedMap {
+    /// With the kind of the features that the landmarks and the index are of.
     pub(crate) info: MapMetadata,
     pub(crate) identity: MapIdentity,
-    /// By id, without their features.
-    #[serde(deserialize_with = "vision::exact")]
-    pub(crate) keyframes: Vec<Keyframe>,
-    /// Of the keyframes, in the same order.
-    #[serde(deserialize_with = "vision::exact")]
-    pub(crate) viewpoints: Vec<Viewpoint>,
+    /// Layout of its files.
+    pub(crate) store_schema: u16,
+    /// Shared by all kinds of features; written beside, see [`LoadedMap::freeze`].
+    #[serde(skip)]
+    pub(crate) poses: Arc<MapPoses>,
     pub(crate) landmarks: Landmarks,
     pub(crate) observations: Observations,
-    /// Of a part of a map also those with keyframes of other parts.
-    pub(crate) cross_covariances: CrossCovariances,
-    /// By keyframe.
-    #[serde(deserialize_with = "vision::exact")]
-    pub(crate) common_errors: Vec<CommonError>,
     pub(crate) index: LandmarkIndex,
     /// Median distance between keyframes and the landmarks that they observe (m).
     pub(crate) viewing_distance: f64,
@@ -57,6 +52,8 @@ pub struct LoadedMap {
     /// Measured when it is asked for, if the map does not state it.
     #[serde(with = "super::evidence::aliasing")]
     pub(crate) aliasing: OnceLock<AliasingRate>,
+    /// The same map with its other kinds of features.
+    pub(crate) added: Vec<LoadedMap>,
 }
 
 /// Why a map cannot be loaded.
@@ -91,21 +88,30 @@ impl LoadedMap {
     ///
     /// # Errors
     /// As [`LoadedMap::read`].
-    pub fn load(stored: StoredMap, landmarks: StoredLandmarks) -> Result<LoadedMap, LoadError> {
-        let contents = stored.contents;
+    pub fn load(stored: StoredMap, mut landmarks: StoredLandmarks) -> Result<LoadedMap, LoadError> {
+        let mut contents = stored.contents;
         contents.validate()?;
         // A stored map has one.
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
-        let mut loader =
-            MapLoader::new(contents, identity, landmarks.count(), landmarks.observation_counts())?;
-        let mut added = Ok(());
-        landmarks.read(|landmark| {
-            if added.is_ok() {
-                added = loader.add(&landmark);
-            }
-        })?;
-        added?;
-        loader.finish()
+        let parts = LoadedParts::take(&mut contents, identity, stored.schema);
+        let mut last = None;
+        let mut loaded = parts.kinds.iter().enumerate().map(|(kind, info)| {
+            let counts = landmarks.observation_counts(kind);
+            let mut loader = MapLoader::new(info.clone(), &parts, landmarks.count(kind), counts)?;
+            let mut added = Ok(());
+            landmarks.read(kind, |landmark| {
+                if added.is_ok() {
+                    let place =
+                        if kind == 0 { LandmarkPlace::Primary } else { LandmarkPlace::AddedAfter(last) };
+                    added = loader.add(&landmark, place);
+                    last = Some(landmark.id);
+                }
+            })?;
+            added?;
+            let aliases = if kind == 0 { std::mem::take(&mut contents.aliases) } else { Vec::new() };
+            loader.finish(aliases)
+        });
+        joined(&mut loaded)
     }
 
     /// Indexes a map that is in memory already.
@@ -134,16 +140,24 @@ impl LoadedMap {
         contents.cross_covariances.extend(far_cross_covariances);
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
-        let landmarks = std::mem::take(&mut contents.landmarks);
-        let mut counts = ObservationCounts::of(&contents.keyframes);
-        for landmark in &landmarks {
-            counts.add(landmark);
-        }
-        let mut loader = MapLoader::new(contents, identity, landmarks.len(), &counts.finish())?;
-        for landmark in landmarks {
-            loader.add_valid(&landmark)?;
-        }
-        loader.finish()
+        let store_schema = contents.store_schema();
+        let parts = LoadedParts::take(&mut contents, identity, store_schema);
+        let added = contents.added_features.into_iter().map(|added| added.landmarks);
+        let of_kinds = std::iter::once(contents.landmarks).chain(added);
+        let mut aliases = contents.aliases;
+        let mut loaded = parts.kinds.iter().zip(of_kinds).map(|(info, landmarks)| {
+            let mut counts = ObservationCounts::of(&parts.poses.keyframes);
+            for landmark in &landmarks {
+                counts.add(landmark);
+            }
+            let mut loader = MapLoader::new(info.clone(), &parts, landmarks.len(), &counts.finish())?;
+            for landmark in landmarks {
+                loader.add_valid(&landmark)?;
+            }
+            // Those of the primary kind.
+            loader.finish(std::mem::take(&mut aliases))
+        });
+        joined(&mut loaded)
     }
 
     /// The map as a whole.
@@ -159,25 +173,25 @@ impl LoadedMap {
 
     /// Number of keyframes.
     pub fn keyframe_count(&self) -> usize {
-        self.keyframes.len()
+        self.poses.keyframes.len()
     }
 
     /// The keyframes in the order of the store, without their features.
     pub fn keyframes(&self) -> impl Iterator<Item = &Keyframe> {
-        self.keyframes.iter()
+        self.poses.keyframes.iter()
     }
 
     /// The keyframe of this id, without its features.
     pub fn keyframe(&self, id: KeyframeId) -> Option<&Keyframe> {
-        self.index_of(id).map(|at| &self.keyframes[at])
+        self.index_of(id).map(|at| &self.poses.keyframes[at])
     }
 
-    /// Number of landmarks.
+    /// Number of landmarks of the primary kind.
     pub fn landmark_count(&self) -> usize {
         self.landmarks.len()
     }
 
-    /// Positions of all landmarks in G (m), by id.
+    /// Positions of all landmarks of the primary kind in G (m), by id.
     pub fn landmark_positions(&self) -> impl Iterator<Item = Vector3<f64>> {
         (0..self.landmark_count()).map(|at| self.landmark_position(at))
     }
@@ -185,7 +199,10 @@ impl LoadedMap {
     /// Position of landmark `at` in G (m).
     pub(crate) fn landmark_position(&self, at: usize) -> Vector3<f64> {
         let anchor = self.landmarks.anchors[at] as usize;
-        self.keyframes[anchor].global_from_keyframe.pose.transform(&self.landmarks.positions_in_anchor[at])
+        self.poses.keyframes[anchor]
+            .global_from_keyframe
+            .pose
+            .transform(&self.landmarks.positions_in_anchor[at])
     }
 
     /// Median distance between keyframes and the landmarks that they observe (m).
@@ -198,40 +215,45 @@ impl LoadedMap {
     }
 
     pub(crate) fn cross_covariance_count(&self) -> usize {
-        self.cross_covariances.blocks().len()
+        self.poses.cross_covariances.blocks().len()
     }
 
     /// What is compared of this version of the map with another one.
     pub fn compared(&self) -> Compared<'_> {
         let mut compared = Compared::default();
-        self.keyframes.iter().for_each(|keyframe| compared.add_keyframe(keyframe));
-        self.cross_covariances.blocks().iter().for_each(|cross| compared.add_cross_covariance(cross));
-        self.common_errors.iter().for_each(|common| compared.add_common_error(common));
+        self.poses.keyframes.iter().for_each(|keyframe| compared.add_keyframe(keyframe));
+        self.poses.cross_covariances.blocks().iter().for_each(|cross| compared.add_cross_covariance(cross));
+        self.poses.common_errors.iter().for_each(|common| compared.add_common_error(common));
+        self.kinds().for_each(|map| map.add_observed(&mut compared));
+        compared
+    }
+
+    /// Adds the landmarks of this kind of features to what is compared.
+    fn add_observed(&self, compared: &mut Compared<'_>) {
         for (at, id) in self.landmarks.ids.iter().enumerate() {
-            let anchor = self.keyframes[self.landmarks.anchors[at] as usize].id;
+            let anchor = self.poses.keyframes[self.landmarks.anchors[at] as usize].id;
             let seen = self.landmarks.observers.of(at).iter().filter_map(|&keyframe| {
                 let keyframe = keyframe as usize;
-                Some((self.keyframes[keyframe].id, self.observations.of(keyframe).pixel_of(at)?))
+                Some((self.poses.keyframes[keyframe].id, self.observations.of(keyframe).pixel_of(at)?))
             });
             compared.add_observed(*id, anchor, self.landmarks.positions_in_anchor[at], seen);
         }
-        compared
     }
 
     /// Index of a keyframe in [`LoadedMap::keyframes`].
     pub(crate) fn index_of(&self, id: KeyframeId) -> Option<usize> {
-        self.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok()
+        self.poses.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok()
     }
 
     /// Covariance of two keyframes' pose errors beyond their common errors, rows of `a`; `None` where the map lists none.
     pub fn cross_covariance(&self, a: KeyframeId, b: KeyframeId) -> Option<Matrix6<f64>> {
-        self.cross_covariances.between(a, b)
+        self.poses.cross_covariances.between(a, b)
     }
 
     /// A keyframe's part of the common error, where the map states it.
     pub fn common_error(&self, id: KeyframeId) -> Option<&CommonError> {
-        let at = self.common_errors.binary_search_by_key(&id, |common| common.keyframe).ok()?;
-        Some(&self.common_errors[at])
+        let at = self.poses.common_errors.binary_search_by_key(&id, |common| common.keyframe).ok()?;
+        Some(&self.poses.common_errors[at])
     }
 
     /// Covariance of two keyframes' pose errors, common errors included, rows of `a`; `None` where they are independent.
@@ -272,7 +294,7 @@ impl LoadedMap {
             return *position_in_anchor;
         }
         let in_global = self.landmark_position(landmark);
-        let Keyframe { global_from_keyframe, camera, .. } = &self.keyframes[keyframe];
+        let Keyframe { global_from_keyframe, camera, .. } = &self.poses.keyframes[keyframe];
         // Rounded to `f32`, 6e-8 of the distance.
         point_in_keyframe(camera, &global_from_keyframe.pose, &in_global, observed.pixels[at])
             .map(|number| f64::from(number as f32))

@@ -2,18 +2,64 @@
 //!
 //! So of the landmarks, by far most of a map, no second copy is made, and none of the arrays is ever copied to grow.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
-use map::contents::{MapContents, validate_landmark};
+use map::contents::{MapContents, validate_added_landmark, validate_landmark};
 use map::model::{Keyframe, KeyframeAliases, Landmark, MapMetadata};
 use nalgebra::Vector3;
-use protocol::MapIdentity;
+use protocol::{LandmarkId, MapIdentity};
 use vision::DescriptorError;
 
-use super::cross_covariances::CrossCovariances;
-use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
+use super::elements::{Landmarks, Observations, point_in_keyframe};
 use super::index::{LandmarkIndex, LandmarkIndexBuilder};
 use super::loaded_map::{LoadError, LoadedMap};
+use super::poses::MapPoses;
+
+/// Where a landmark is among those of all kinds of features.
+#[derive(Clone, Copy)]
+pub(crate) enum LandmarkPlace {
+    /// Of the primary kind.
+    Primary,
+    /// Of an added kind, after a landmark of this or a former kind.
+    AddedAfter(Option<LandmarkId>),
+}
+
+/// What all kinds of features of a map share.
+pub(crate) struct LoadedParts {
+    pub(crate) poses: Arc<MapPoses>,
+    /// Of each kind, the primary one first.
+    pub(crate) kinds: Vec<MapMetadata>,
+    identity: MapIdentity,
+    store_schema: u16,
+}
+
+impl LoadedParts {
+    /// Takes the poses out of a valid, sorted map.
+    pub(crate) fn take(contents: &mut MapContents, identity: MapIdentity, store_schema: u16) -> LoadedParts {
+        let info = MapMetadata { identity: Some(identity), ..contents.info.clone() };
+        let added = contents.added_features.iter().map(|added| info.with_kind(&added.kind));
+        LoadedParts {
+            kinds: std::iter::once(info.clone()).chain(added).collect(),
+            identity,
+            store_schema,
+            poses: Arc::new(MapPoses::take(contents)),
+        }
+    }
+}
+
+/// The primary kind of a map with the others, of all in their order.
+///
+/// # Errors
+/// The first one of a kind.
+pub(crate) fn joined(
+    kinds: &mut dyn Iterator<Item = Result<LoadedMap, LoadError>>,
+) -> Result<LoadedMap, LoadError> {
+    // There is always a primary one.
+    let Some(primary) = kinds.next() else { return Err(DescriptorError::Full.into()) };
+    let mut map = primary?;
+    map.added = kinds.collect::<Result<_, _>>()?;
+    Ok(map)
+}
 
 /// Builds a [`LoadedMap`].
 pub(crate) struct MapLoader {
@@ -24,48 +70,38 @@ pub(crate) struct MapLoader {
     /// Distances between keyframes and the landmarks that they observe (m).
     distances: Vec<f32>,
     index: LandmarkIndexBuilder,
-    aliases: Vec<KeyframeAliases>,
 }
 
 impl MapLoader {
-    /// Makes room for a map.
+    /// Makes room for the landmarks of one kind of features.
     ///
     /// # Arguments
-    /// * `contents`: a valid map, sorted, without its landmarks.
-    /// * `identity`: that of the map.
+    /// * `info`: the map with the kind.
     /// * `landmark_count`: how many landmarks it has.
     /// * `observation_counts`: how many observations each keyframe has, in the order of the keyframes.
     ///
     /// # Errors
     /// [`LoadError::Descriptors`] where they are too many.
     pub(crate) fn new(
-        contents: MapContents,
-        identity: MapIdentity,
+        info: MapMetadata,
+        parts: &LoadedParts,
         landmark_count: usize,
         observation_counts: &[u32],
     ) -> Result<MapLoader, LoadError> {
         u32::try_from(landmark_count).map_err(|_| DescriptorError::Full)?;
-        let MapContents { info, mut keyframes, cross_covariances, mut common_errors, aliases, .. } = contents;
-        for keyframe in &mut keyframes {
-            keyframe.features = None;
-        }
-        keyframes.shrink_to_fit();
-        common_errors.shrink_to_fit();
         let (kind, width) = (info.descriptor_kind, usize::from(info.descriptor_width));
         let observations = Observations::with_counts(observation_counts.iter().copied(), width)?;
-        let viewpoint = |keyframe: &Keyframe| Viewpoint::of(&keyframe.global_from_keyframe.pose);
         let map = LoadedMap {
             index: LandmarkIndex::empty(kind, width)?,
-            info: MapMetadata { identity: Some(identity), ..info },
-            identity,
+            info,
+            identity: parts.identity,
+            store_schema: parts.store_schema,
+            poses: Arc::clone(&parts.poses),
             landmarks: Landmarks::with_capacity(landmark_count, observations.len()),
-            viewpoints: keyframes.iter().map(viewpoint).collect(),
-            keyframes,
-            cross_covariances: CrossCovariances::new(cross_covariances),
-            common_errors,
             viewing_distance: 0.0,
             aliases: Vec::new(),
             aliasing: OnceLock::new(),
+            added: Vec::new(),
             observations,
         };
         Ok(MapLoader {
@@ -73,16 +109,24 @@ impl MapLoader {
             distances: Vec::with_capacity(map.observations.len()),
             index: LandmarkIndexBuilder::new(kind, width, landmark_count),
             map,
-            aliases,
         })
     }
 
     /// Adds a landmark: by id, its observations by keyframe.
     ///
+    /// # Arguments
+    /// * `place`: among the landmarks of the map.
+    ///
     /// # Errors
     /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
-    pub(crate) fn add(&mut self, landmark: &Landmark) -> Result<(), LoadError> {
-        validate_landmark(&self.map.info, landmark, |id| self.map.keyframe(id))?;
+    pub(crate) fn add(&mut self, landmark: &Landmark, place: LandmarkPlace) -> Result<(), LoadError> {
+        let map = &self.map;
+        match place {
+            LandmarkPlace::Primary => validate_landmark(&map.info, landmark, |id| map.keyframe(id))?,
+            LandmarkPlace::AddedAfter(before) => {
+                validate_added_landmark(&map.info, before, landmark, |id| map.keyframe(id))?;
+            }
+        }
         Ok(self.add_valid(landmark)?)
     }
 
@@ -91,12 +135,12 @@ impl MapLoader {
         let map = &mut self.map;
         let Some(anchor) = map.index_of(landmark.anchor) else { return Ok(()) };
         let number = map.landmarks.len() as u32;
-        let global_from_anchor = &map.keyframes[anchor].global_from_keyframe.pose;
+        let global_from_anchor = &map.poses.keyframes[anchor].global_from_keyframe.pose;
         let position_in_global = global_from_anchor.transform(&landmark.position_in_anchor);
         let mut observers = Vec::with_capacity(landmark.observations.len());
         for observation in &landmark.observations {
             let Some(at) = map.index_of(observation.keyframe) else { continue };
-            let Keyframe { global_from_keyframe, camera, .. } = &map.keyframes[at];
+            let Keyframe { global_from_keyframe, camera, .. } = &map.poses.keyframes[at];
             let point = if at == anchor {
                 landmark.position_in_anchor
             } else {
@@ -113,12 +157,15 @@ impl MapLoader {
 
     /// Indexes the landmarks.
     ///
+    /// # Arguments
+    /// * `aliases`: what the map states of keyframes that could be taken for another place, by this kind of features.
+    ///
     /// # Errors
     /// [`LoadError::Descriptors`].
-    pub(crate) fn finish(mut self) -> Result<LoadedMap, LoadError> {
+    pub(crate) fn finish(mut self, aliases: Vec<KeyframeAliases>) -> Result<LoadedMap, LoadError> {
         self.map.viewing_distance = median(self.distances);
         self.map.index = self.index.build()?;
-        self.map.set_aliases(self.aliases);
+        self.map.set_aliases(aliases);
         Ok(self.map)
     }
 }

@@ -43,18 +43,19 @@ impl LoadedMap {
         if features.len() < options.min_inliers {
             return Ok(Vec::new());
         }
-        let image = Image { camera, features, descriptors: self.view(features)?, gravity_in_camera };
-        let is_eligible = |at: usize| eligible(self.keyframes[at].id);
+        let map = self.for_features(features);
+        let image = Image { camera, features, descriptors: map.view(features)?, gravity_in_camera };
+        let is_eligible = |at: usize| eligible(self.poses.keyframes[at].id);
         let place = |found: VerifiedKeyframe| {
-            let observed = self.observations.of(found.keyframe);
-            let landmark = |at: usize| self.landmarks.ids[observed.landmark(at)];
+            let observed = map.observations.of(found.keyframe);
+            let landmark = |at: usize| map.landmarks.ids[observed.landmark(at)];
             VerifiedPlace {
-                keyframe: self.keyframes[found.keyframe].id,
+                keyframe: self.poses.keyframes[found.keyframe].id,
                 global_from_camera: found.global_from_camera,
                 inliers: found.inliers.iter().map(|inlier| (inlier.query, landmark(inlier.train))).collect(),
             }
         };
-        let verified = self.verified_keyframes(&image, is_eligible, options)?;
+        let verified = map.verified_keyframes(&image, is_eligible, options)?;
         let mut places: Vec<VerifiedPlace> = verified.into_iter().map(place).collect();
         places.sort_by_key(|place| std::cmp::Reverse(place.inliers.len()));
         Ok(places)
@@ -70,7 +71,8 @@ impl LoadedMap {
         eligible: impl Fn(usize) -> bool,
         options: &RecognitionOptions,
     ) -> Result<Vec<VerifiedKeyframe>, QueryError> {
-        let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
+        let votes =
+            self.index.vote(image.descriptors, &self.landmarks.observers, self.poses.keyframes.len())?;
         let mut matcher = Matcher::new(image.descriptors);
         let mut verified = Vec::new();
         for candidate in best_voted(&votes, options.candidates, options.min_votes, eligible) {

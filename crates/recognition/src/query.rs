@@ -4,20 +4,20 @@ use std::time::Instant;
 
 use nalgebra::Vector3;
 use protocol::{
-    DescriptorFormat, Extent, FeatureSet, KeyframeId, KeyframeLandmark, KeyframeReply, LocalizeReply,
-    LocalizeRequest, LocalizedPose, MapInfoReply, MatchOutcome, MatchReply, MatchRequest, MatchStatus,
+    DescriptorFormat, Extent, FeatureKind, FeatureSet, KeyframeId, KeyframeLandmark, KeyframeReply,
+    LocalizeReply, LocalizeRequest, LocalizedPose, MapInfoReply, MatchOutcome, MatchReply, MatchRequest,
+    MatchStatus,
 };
-use vision::{DescriptorError, DescriptorView};
+use vision::DescriptorError;
 
 use super::answer::{matched_keyframes, record};
 use super::fusion::{FocalError, FusedPose, MAX_FUSED_KEYFRAMES, fuse};
 use super::index::best_voted;
+use super::kinds::describe;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::report::SearchReport;
 use super::verification::{Image, VerifiedKeyframe};
-use map::model::MapMetadata;
-use map::store::STORE_SCHEMA;
 
 /// Fewest keyframes that must agree before the search ends.
 const MIN_AGREEING: usize = 4;
@@ -27,23 +27,25 @@ const MIN_AGREEING: usize = 4;
 pub enum QueryError {
     /// The query's descriptors cannot be compared with the map's.
     #[error(
-        "the query has {query:?} descriptors, the map has {map:?}: use the extractor that the map was built with"
+        "the query has {query:?} descriptors, the map has features of {}: use an extractor that the map has",
+        describe(offered)
     )]
     DescriptorMismatch {
         /// Of the query.
         query: DescriptorFormat,
-        /// Of the map.
-        map: DescriptorFormat,
+        /// The kinds of features of the map.
+        offered: Vec<map::FeatureKind>,
     },
-    /// The query's descriptors come from another extractor than the map's.
+    /// The query's descriptors come from an extractor that the map has no features of.
     #[error(
-        "the query's features come from the extractor {query:?}, the map was built with {map:?}: use the map's extractor"
+        "the query's features come from the extractor {query:?}, the map has features of {}: use an extractor that the map has",
+        describe(offered)
     )]
     ExtractorMismatch {
         /// Of the query.
         query: String,
-        /// Of the map.
-        map: String,
+        /// The kinds of features of the map.
+        offered: Vec<map::FeatureKind>,
     },
     /// The query's features are not consistent in themselves.
     #[error("the query's features cannot be used: {0}")]
@@ -51,7 +53,8 @@ pub enum QueryError {
 }
 
 impl LoadedMap {
-    /// Answers a match query: keyframes by rank, and always a final status.
+    /// Answers a match query: keyframes by rank, and always a final status. Of a map with several kinds of features the one that the
+    /// query has is searched.
     ///
     /// The rules of an answer are those of [`MatchReply`] and, for anchors: the anchor of every landmark is a keyframe
     /// of the answer that observed it; where the map's own anchor is not sent, the landmark is re-anchored in the
@@ -72,6 +75,15 @@ impl LoadedMap {
     /// # Errors
     /// As of [`LoadedMap::answer`].
     pub fn answer_with_report(
+        &self,
+        request: &MatchRequest,
+        options: &RecognitionOptions,
+    ) -> Result<(Vec<MatchReply>, SearchReport), QueryError> {
+        self.for_features(&request.features).answer_of_kind(request, options)
+    }
+
+    /// The answer with this kind of features.
+    fn answer_of_kind(
         &self,
         request: &MatchRequest,
         options: &RecognitionOptions,
@@ -126,6 +138,15 @@ impl LoadedMap {
     /// # Errors
     /// As of [`LoadedMap::localize`].
     pub fn localize_with_report(
+        &self,
+        request: &LocalizeRequest,
+        options: &RecognitionOptions,
+    ) -> Result<(LocalizeReply, SearchReport), QueryError> {
+        self.for_features(&request.features).localize_of_kind(request, options)
+    }
+
+    /// The answer with this kind of features.
+    fn localize_of_kind(
         &self,
         request: &LocalizeRequest,
         options: &RecognitionOptions,
@@ -186,7 +207,7 @@ impl LoadedMap {
         });
         LocalizedPose {
             global_from_camera: fused.global_from_camera,
-            keyframe: self.keyframes[best.keyframe].id,
+            keyframe: self.poses.keyframes[best.keyframe].id,
             matched_features: fused.matched as u32,
             inliers: fused.inliers as u32,
             mean_error_px: fused.mean_error_px,
@@ -201,12 +222,14 @@ impl LoadedMap {
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn rank_keyframes(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
-        let votes = self.index.vote(self.view(features)?, &self.landmarks.observers, self.keyframes.len())?;
+        let map = self.for_features(features);
+        let keyframes = self.poses.keyframes.len();
+        let votes = map.index.vote(map.view(features)?, &map.landmarks.observers, keyframes)?;
         let ranked = best_voted(&votes, count, 1, |_| true);
-        Ok(ranked.into_iter().map(|at| self.keyframes[at].id).collect())
+        Ok(ranked.into_iter().map(|at| self.poses.keyframes[at].id).collect())
     }
 
-    /// One keyframe with the landmarks that it observes, `None` where the map has none of that id.
+    /// One keyframe with the landmarks of the primary kind that it observes, `None` where the map has none of that id.
     pub fn keyframe_reply(&self, id: KeyframeId) -> Option<KeyframeReply> {
         let keyframe = self.index_of(id)?;
         let observed = self.observations.of(keyframe);
@@ -214,7 +237,7 @@ impl LoadedMap {
             let landmark = landmark as usize;
             KeyframeLandmark {
                 landmark: self.landmarks.ids[landmark],
-                anchor: self.keyframes[self.landmarks.anchors[landmark] as usize].id,
+                anchor: self.poses.keyframes[self.landmarks.anchors[landmark] as usize].id,
                 position_in_anchor: self.landmarks.positions_in_anchor[landmark].into(),
                 pixel,
             }
@@ -224,7 +247,7 @@ impl LoadedMap {
         Some(KeyframeReply {
             map_version,
             map_identity,
-            keyframe: record(&self.keyframes[keyframe]),
+            keyframe: record(&self.poses.keyframes[keyframe]),
             landmarks,
         })
     }
@@ -232,7 +255,7 @@ impl LoadedMap {
     /// Describes the map under the name by which it is served.
     pub fn info_reply(&self, name: &str) -> MapInfoReply {
         let positions =
-            || self.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
+            || self.poses.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
         let extent = positions().next().map(|first| Extent {
             min: positions().fold(first, |low, position| low.inf(&position)).into(),
             max: positions().fold(first, |high, position| high.sup(&position)).into(),
@@ -241,46 +264,32 @@ impl LoadedMap {
             name: name.to_owned(),
             version: self.info.version,
             identity: self.identity,
-            database_schema: STORE_SCHEMA,
+            database_schema: self.store_schema,
             keyframes: self.keyframe_count() as u64,
             landmarks: self.landmark_count() as u64,
             observations: self.observation_count() as u64,
             cross_covariances: self.cross_covariance_count() as u64,
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             extent,
-            descriptors: (!self.keyframes.is_empty()).then(|| self.format()),
+            descriptors: (!self.poses.keyframes.is_empty()).then(|| self.info.feature_kind().format()),
             sigma_map_px: self.info.sigma_px,
             extractor: self.info.extractor.clone(),
+            feature_kinds: self
+                .kinds()
+                .filter(|_| !self.poses.keyframes.is_empty())
+                .map(kind_reply)
+                .collect(),
         }
     }
-
-    fn format(&self) -> DescriptorFormat {
-        format_of(&self.info)
-    }
-
-    /// A query's descriptors, which must be comparable with the map's.
-    pub(super) fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
-        view_of(&self.info, features)
-    }
 }
 
-/// A query's descriptors, which must be comparable with those of a map.
-pub(super) fn view_of<'a>(
-    info: &MapMetadata,
-    features: &'a FeatureSet,
-) -> Result<DescriptorView<'a>, QueryError> {
-    let query = features.descriptors.format();
-    if query != format_of(info) {
-        return Err(QueryError::DescriptorMismatch { query, map: format_of(info) });
+/// A kind of features as it is told.
+fn kind_reply(map: &LoadedMap) -> FeatureKind {
+    FeatureKind {
+        extractor: map.info.extractor.clone(),
+        descriptors: map.info.feature_kind().format(),
+        landmarks: map.landmark_count() as u64,
+        observations: map.observation_count() as u64,
+        sigma_map_px: map.info.sigma_px,
     }
-    let (stated, wanted) = (&features.extractor, &info.extractor);
-    if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
-        return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
-    }
-    let metric = vision::metric_of(info.descriptor_kind);
-    Ok(DescriptorView::new(metric, usize::from(query.width), &features.descriptors.bytes)?)
-}
-
-fn format_of(info: &MapMetadata) -> DescriptorFormat {
-    DescriptorFormat { kind: info.descriptor_kind, width: info.descriptor_width }
 }

@@ -87,7 +87,7 @@ impl Candidate {
         near_prior: bool,
     ) -> Vec<Self> {
         let one = |&at: &usize| Self {
-            keyframe: map.keyframes[at].id,
+            keyframe: map.poses.keyframes[at].id,
             near_prior,
             votes: votes[at].features,
             matches: 0,

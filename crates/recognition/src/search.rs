@@ -112,7 +112,7 @@ impl LoadedMap {
             let (place, candidates, hypotheses) = (Vec::new(), Vec::new(), Vec::new());
             Ok(Search { outcome, place, strongest: None, searched_keyframes: 0, candidates, hypotheses })
         };
-        if self.keyframes.is_empty() {
+        if self.poses.keyframes.is_empty() {
             return nothing(MatchOutcome::EmptyMap);
         }
         if features.len() < options.min_inliers {
@@ -136,13 +136,13 @@ impl LoadedMap {
                 return Ok(Search { searched_keyframes, candidates: of_both, ..place });
             }
         }
-        let votes = self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len())?;
+        let votes = self.index.vote(descriptors, &self.landmarks.observers, self.poses.keyframes.len())?;
         let sufficient = Sufficient { prior: None, enough };
         let candidates = candidates(&votes, &|_| true);
         let of_prior = of_both.len();
         of_both.extend(Candidate::list(self, &candidates, &votes, false));
         let place = self.recognize(&candidates, &mut of_both[of_prior..], &image, &sufficient, options)?;
-        Ok(Search { searched_keyframes: self.keyframes.len(), candidates: of_both, ..place })
+        Ok(Search { searched_keyframes: self.poses.keyframes.len(), candidates: of_both, ..place })
     }
 
     /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
@@ -156,7 +156,7 @@ impl LoadedMap {
             (viewpoint.position - wanted.position).norm() <= radius
                 && viewpoint.axis.dot(&wanted.axis) >= least_cosine
         };
-        self.viewpoints.iter().map(is_near).collect()
+        self.poses.viewpoints.iter().map(is_near).collect()
     }
 
     /// The votes for keyframes near a prior. Where these are few, some of the features vote, and only the landmarks that
@@ -168,7 +168,7 @@ impl LoadedMap {
     ) -> Result<Vec<Votes>, DescriptorError> {
         let few: Vec<usize> = (0..near.len()).filter(|&at| near[at]).collect();
         if few.len() * FEW_KEYFRAMES > near.len() {
-            return self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len());
+            return self.index.vote(descriptors, &self.landmarks.observers, self.poses.keyframes.len());
         }
         let mut among = LandmarkSet::empty(self.landmarks.len());
         for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
@@ -178,7 +178,7 @@ impl LoadedMap {
         let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
         let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
         let mut votes =
-            self.index.vote_among(voters, &self.landmarks.observers, self.keyframes.len(), &among)?;
+            self.index.vote_among(voters, &self.landmarks.observers, self.poses.keyframes.len(), &among)?;
         for votes in &mut votes {
             votes.stand_for(step as u32);
         }

@@ -100,7 +100,7 @@ pub(crate) fn compare(
         pixel: Vector2::from(image.features.pixels[found.query].map(f64::from)),
     };
     let correspondences: Vec<Correspondence> = matches.iter().map(correspondence).collect();
-    let global_from_keyframe = &map.keyframes[keyframe].global_from_keyframe;
+    let global_from_keyframe = &map.poses.keyframes[keyframe].global_from_keyframe;
     let gravity =
         map.info.gravity_in_global.zip(image.gravity_in_camera).map(|(in_global, in_camera)| Gravity {
             in_world: global_from_keyframe.pose.rotation.inverse_transform_vector(&in_global),

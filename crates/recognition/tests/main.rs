@@ -5,6 +5,7 @@ mod answers;
 mod common;
 mod descriptors;
 mod evidence;
+mod kinds;
 mod places;
 mod poses;
 mod report;

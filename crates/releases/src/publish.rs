@@ -70,7 +70,8 @@ pub struct Published {
 
 /// Publishes a map as the next release, or as a candidate for it.
 ///
-/// The identity of the first release is that of the map, and stays. Versions grow from release to release.
+/// The identity of the first release is that of the map, and stays. Versions grow from release to release. A release has the features of
+/// the primary kind: those of added kinds and the images of keyframes are left out.
 ///
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
@@ -82,6 +83,8 @@ pub async fn publish(
     mut progress: impl FnMut(Progress),
 ) -> Result<Outcome, ReleaseError> {
     contents.validate()?;
+    contents.added_features.clear();
+    contents.images.clear();
     contents.sort();
     let former = store.newest().await?;
     let digest = contents.digest();

@@ -10,8 +10,8 @@ pub use memory::resident_mb;
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
 use map::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents,
-    MapMetadata, Observation,
+    AddedFeatures, Alias, CommonError, FeatureKind, KeptImage, Keyframe, KeyframeAliases,
+    KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation,
 };
 use nalgebra::{Matrix6xX, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
@@ -55,6 +55,38 @@ pub fn add_aliases(map: &mut MapContents) {
     map.aliases =
         (0..ids.len()).map(|at| KeyframeAliases { keyframe: ids[at], places: places(at) }).collect();
     map.info.identity = Some(map.digest());
+}
+
+/// Adds features of a second kind: copies of every second landmark, which other descriptors tell, see [`second_descriptor`].
+pub fn add_second_kind(map: &mut MapContents, extractor: &str) {
+    map.sort();
+    let last =
+        map.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks).map(|landmark| landmark.id).max();
+    let copy = |(id, landmark): (u64, &Landmark)| {
+        let mut copy = Landmark { id, ..landmark.clone() };
+        copy.observations.iter_mut().for_each(|seen| second_descriptor(&mut seen.descriptor));
+        copy
+    };
+    let landmarks = (last.unwrap_or(0) + 1..).zip(map.landmarks.iter().step_by(2)).map(copy).collect();
+    let kind = FeatureKind { extractor: extractor.to_owned(), sigma_px: 1.5, ..map.info.feature_kind() };
+    map.added_features.push(AddedFeatures { kind, landmarks });
+}
+
+/// What the extractor of the second kind makes of what the first one describes.
+pub fn second_descriptor(descriptor: &mut [u8]) {
+    for byte in descriptor {
+        *byte = byte.rotate_left(3) ^ 0x5a;
+    }
+}
+
+/// Adds images to every keyframe but the first: no real ones, but of the first bytes of JPEG files.
+pub fn add_images(map: &mut MapContents) {
+    map.sort();
+    let image = |keyframe: &Keyframe| {
+        let noise = (0..700 + keyframe.id % 50).map(|at| (at * (keyframe.id + 3) % 251) as u8);
+        KeptImage { keyframe: keyframe.id, jpeg: [0xff, 0xd8].into_iter().chain(noise).collect() }
+    };
+    map.images = map.keyframes.iter().skip(1).map(image).collect();
 }
 
 /// Landmarks of a poster, see [`PlaceOptions::posters`].

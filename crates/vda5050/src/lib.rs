@@ -20,7 +20,7 @@
 //!
 //! let mut vehicle = Vehicle::new(VehicleSettings::default(), Instant::now());
 //! // For each message of `robot/cart7/{pose,odometry,status}`:
-//! let message = br#"{"schema": 9, "type": "robot_status", "stamp_ns": 5, "state": "localized", "reason": "", "map": "hall",
+//! let message = br#"{"schema": 10, "type": "robot_status", "stamp_ns": 5, "state": "localized", "reason": "", "map": "hall",
 //!     "keyframes_held": 24, "queries_sent": 310, "queries_answered": 308}"#;
 //! let status = protocol::decode(protocol::Format::Json, message)?;
 //! vehicle.note(Published::Status(status), Instant::now());

@@ -6,8 +6,8 @@ use map::MapMetadata;
 use map::store::STORE_SCHEMA;
 use nalgebra::Vector3;
 use protocol::{
-    DescriptorFormat, Extent, FeatureSet, KeyframeId, MapIdentity, MapInfoReply, MatchOutcome, MatchStatus,
-    PosePrior,
+    DescriptorFormat, Extent, FeatureKind, FeatureSet, KeyframeId, MapIdentity, MapInfoReply, MatchOutcome,
+    MatchStatus, PosePrior,
 };
 use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, RankedPart, prior_radius};
 use releases::{CellId, CoarseCell, Release};
@@ -273,6 +273,17 @@ impl CellDirectory {
             descriptors: (!self.cells.is_empty()).then_some(format),
             extractor: self.info.extractor.clone(),
             sigma_map_px: self.info.sigma_px,
+            // Releases have the primary kind only.
+            feature_kinds: (!self.cells.is_empty())
+                .then(|| FeatureKind {
+                    extractor: self.info.extractor.clone(),
+                    descriptors: format,
+                    landmarks: sum(|cell| cell.landmarks),
+                    observations: sum(|cell| cell.observations),
+                    sigma_map_px: self.info.sigma_px,
+                })
+                .into_iter()
+                .collect(),
         }
     }
 }

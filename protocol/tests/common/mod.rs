@@ -323,6 +323,16 @@ pub fn map_infos() -> impl Strategy<Value = MapInfoReply> {
                     descriptors,
                     sigma_map_px,
                     extractor: if counts[0] % 2 == 0 { String::new() } else { "sift-1".to_owned() },
+                    feature_kinds: descriptors
+                        .map(|descriptors| FeatureKind {
+                            extractor: "sift-1".to_owned(),
+                            descriptors,
+                            landmarks: counts[2],
+                            observations: counts[3],
+                            sigma_map_px,
+                        })
+                        .into_iter()
+                        .collect(),
                 }
             },
         )

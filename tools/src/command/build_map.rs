@@ -12,7 +12,7 @@ use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 use vision::{FeatureExtractor, GrayImage};
 
-use super::build_report::{print_extension, print_report};
+use super::build_report::{print_extension, print_kept, print_left_out, print_report};
 use super::import_map::parse_direction;
 use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
@@ -21,9 +21,9 @@ use crate::stage_bar::StageBar;
 use map::contents::MapContents;
 use map::store::{MapTarget, load_map};
 use mapping::{
-    BuildOptions, BuildReport, ExtendError, ExtensionReport, Extraction, Odometry, Progress, Stage,
-    StoredPoses, build_map, build_map_from_odometry, check_new_recording, extend_map, register_stereo_images,
-    select_during,
+    BuildOptions, BuildReport, ExtendError, ExtensionReport, Extraction, KeptImages, Odometry, Progress,
+    Stage, StoredPoses, build_map, build_map_from_odometry, check_new_recording, extend_map, keep_images,
+    register_stereo_images, select_during,
 };
 use mapping::{is_sparse, odometry_config, run_odometry, run_watched};
 
@@ -32,6 +32,9 @@ const MAX_SIGMA_THETA: f64 = 0.5;
 
 /// Images that are too far apart to track points are all keyframes, unless the camera stands still, m.
 const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
+
+/// Quality of kept images where none is given.
+const DEFAULT_QUALITY: &str = "90";
 
 /// Arguments.
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
@@ -45,6 +48,7 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     driftless build-map my_run --map my.db --poses out/states.csv\n  \
     driftless build-map my_run --map my.db --position-priors gnss_enu.csv --lever-arm 0.1,0,0.4\n  \
     driftless build-map another_run --map my.db --extend\n  \
+    driftless build-map my_run --map my.db --keep-images\n  \
     driftless build-map inbox/robot7/1a2b.session --map my.db --extend\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
     REC holds mav0/cam0, and cam1, cam2 ... of a rig, with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
@@ -118,6 +122,11 @@ pub struct Args {
     /// How features are extracted from images
     #[command(flatten)]
     pub features: FeatureArguments,
+    /// Keep the images of the keyframes in the map, as JPEG of this quality, 1 to 100: `add-features` computes further kinds of features
+    /// in them. With --extend, a map that keeps images goes on to keep them
+    #[arg(long, value_name = "QUALITY", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_QUALITY,
+        value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub keep_images: Option<u8>,
     /// Plot the coverage of the map: keyframes, landmarks, keyframes with too few
     #[arg(long, value_name = "SVG")]
     pub svg: Option<PathBuf>,
@@ -183,10 +192,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         );
     } else {
         println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
-        match &report {
+        match &report.report {
             Report::Built(report) => print_report(report),
             Report::Extended(report) => print_extension(report),
         }
+        if let Some(kept) = &report.kept {
+            print_kept(kept);
+        }
+        print_left_out(stored.as_ref());
         println!("  of it                     {times}");
     }
     Ok(())
@@ -203,7 +216,7 @@ pub(crate) fn build(
     args: &Args,
     stored: Option<&MapContents>,
     show: Progress<'_>,
-) -> anyhow::Result<(MapContents, Report)> {
+) -> anyhow::Result<(MapContents, Built)> {
     let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, || Ok(sequence.frames.iter().cloned().map(Ok)))?;
@@ -230,7 +243,7 @@ pub(crate) fn build(
     let features = args.features.or_of_map(stored.map_or("", |map| &map.info.extractor));
     let mut extractors = if from_images { features.open_several()? } else { Vec::new() };
     let masks = args.features.read_masks()?;
-    let (contents, mut report) = if let Some(references) = references {
+    let (mut contents, mut report) = if let Some(references) = references {
         let extraction = extraction_of(&mut extractors, &masks, cameras, args);
         let (contents, report) = build_map(&sequence, &references, extraction, &options, show)?;
         (contents, Report::Built(Box::new(report)))
@@ -247,8 +260,29 @@ pub(crate) fn build(
             (contents, Report::Built(Box::new(report)))
         }
     };
+    let kept = match quality(args, stored, &sequence)? {
+        Some(quality) => Some(keep_images(&mut contents, stored, &sequence, cameras, quality)?),
+        None => None,
+    };
     report.set_seconds(start.elapsed().as_secs_f64());
-    Ok((contents, report))
+    Ok((contents, Built { report, kept }))
+}
+
+/// The quality of the images that are kept; `None` where none are.
+fn quality(args: &Args, stored: Option<&MapContents>, sequence: &Sequence) -> anyhow::Result<Option<u8>> {
+    let goes_on = stored.is_some_and(|stored| !stored.images.is_empty()) && sequence.has_images();
+    let default = if goes_on { Some(DEFAULT_QUALITY.parse()?) } else { None };
+    Ok(args.keep_images.or(default))
+}
+
+/// What is said of a map that was built.
+#[derive(serde::Serialize)]
+pub(crate) struct Built {
+    #[serde(flatten)]
+    pub(crate) report: Report,
+    /// The images that were kept.
+    #[serde(rename = "kept_images", skip_serializing_if = "Option::is_none")]
+    kept: Option<KeptImages>,
 }
 
 /// Statistics of the map.

@@ -1,6 +1,7 @@
 //! What `build-map` prints.
 
-use mapping::{BuildReport, ExtensionReport, Spread};
+use map::MapContents;
+use mapping::{BuildReport, ExtensionReport, KeptImages, Spread};
 
 /// Real sensors have two to four times the noise that their calibration states, from a sensor at rest.
 const MAX_PLAUSIBLE_NOISE_SCALE: f64 = 6.0;
@@ -122,4 +123,35 @@ pub(super) fn print_extension(report: &ExtensionReport) {
     );
     println!("the map now                 {} keyframes, {} landmarks", report.keyframes, report.landmarks);
     println!("time                        {:.1} s", report.seconds);
+}
+
+/// Prints which images were kept.
+pub(super) fn print_kept(kept: &KeptImages) {
+    println!("images kept                 {}, {:.2} MB", kept.images, kept.bytes as f64 * 1e-6);
+    for image in &kept.unreadable {
+        println!("  not kept                  {image}");
+    }
+}
+
+/// Says which features a map had that its next version has not, because the poses that they were computed with have moved.
+pub(super) fn print_left_out<'a>(maps: impl IntoIterator<Item = &'a MapContents>) {
+    let mut names: Vec<&str> = Vec::new();
+    for added in maps.into_iter().flat_map(|map| &map.added_features) {
+        if !names.contains(&added.kind.extractor.as_str()) {
+            names.push(&added.kind.extractor);
+        }
+    }
+    for name in names {
+        println!(
+            "left out                    features of {name}: they were computed with the former poses; `driftless add-features` computes them again"
+        );
+    }
+}
+
+/// What a map has that releases, and the other forms of a map, do not carry.
+pub(super) fn left_out(contents: &MapContents) -> Vec<String> {
+    let features =
+        contents.added_features.iter().map(|added| format!("features of {}", added.kind.extractor));
+    let images = (!contents.images.is_empty()).then(|| format!("{} images", contents.images.len()));
+    features.chain(images).collect()
 }

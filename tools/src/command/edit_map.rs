@@ -17,7 +17,8 @@ use serde::Serialize;
     driftless edit-map --map town.db --thin --dry-run\n  \
     driftless edit-map --map town.db --remove 17,20-35\n  \
     driftless edit-map --map town.db --remove-box=-5,-5,-2,5,5,2 --to town_without_hall.db\n  \
-    driftless edit-map --map town.db --remove-time 1403636579000000000,1403636650000000000\n\n\
+    driftless edit-map --map town.db --remove-time 1403636579000000000,1403636650000000000\n  \
+    driftless edit-map --map town.db --drop-images\n\n\
     DB becomes its next version, and a server is told as after a build. What stays keeps its ids, poses and covariances:\n\
     robots stay localized. What several switches choose is taken out together; --thin then looks at what is left.")]
 pub struct Args {
@@ -42,6 +43,12 @@ pub struct Args {
     /// Take out the landmarks outside of a box of the map's frame, m
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = parse_box, allow_hyphen_values = true)]
     pub crop_landmarks: Option<Region>,
+    /// Take out the images of the keyframes
+    #[arg(long)]
+    pub drop_images: bool,
+    /// Take out the features of an added kind, for example edgepoint2-1
+    #[arg(long, value_name = "EXTRACTOR")]
+    pub drop_features: Option<String>,
     /// Say what would be done, and write nothing
     #[arg(long)]
     pub dry_run: bool,
@@ -62,6 +69,8 @@ struct Counts {
     observations: usize,
     /// Keyframes with too few landmarks to localize by.
     poor_keyframes: usize,
+    added_kinds: usize,
+    images: usize,
 }
 
 /// What was done.
@@ -93,6 +102,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(region) = &args.crop_landmarks {
         retain_landmarks(&mut contents, |position| region.contains(position));
     }
+    drop_parts(args, &mut contents)?;
     if contents.keyframes.is_empty() {
         bail!("no keyframe would be left: remove the database instead");
     }
@@ -118,9 +128,29 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     line("landmarks", |counts| counts.landmarks);
     line("observations", |counts| counts.observations);
     line("keyframes with too few landmarks to localize by", |counts| counts.poor_keyframes);
+    line("added kinds of features", |counts| counts.added_kinds);
+    line("images", |counts| counts.images);
     match report.version {
         Some(version) => println!("{}: version {version}", target.path().display()),
         None => println!("nothing was written"),
+    }
+    Ok(())
+}
+
+/// Takes out images, and features of an added kind.
+fn drop_parts(args: &Args, contents: &mut MapContents) -> anyhow::Result<()> {
+    if args.drop_images {
+        contents.images.clear();
+    }
+    let Some(name) = &args.drop_features else { return Ok(()) };
+    if contents.info.extractor == *name {
+        bail!("--drop-features {name}: the map is adjusted by these features, they cannot be taken out");
+    }
+    let before = contents.added_features.len();
+    contents.added_features.retain(|added| added.kind.extractor != *name);
+    if contents.added_features.len() == before {
+        let kinds: Vec<String> = contents.feature_kinds().map(|kind| kind.extractor).collect();
+        bail!("--drop-features {name}: the map has features of {}", kinds.join(" and "));
     }
     Ok(())
 }
@@ -161,6 +191,8 @@ fn counts(contents: &MapContents) -> Counts {
         landmarks: contents.landmarks.len(),
         observations: contents.observation_count(),
         poor_keyframes: seen.values().filter(|count| **count < BuildReport::FEW_LANDMARKS).count(),
+        added_kinds: contents.added_features.len(),
+        images: contents.images.len(),
     }
 }
 

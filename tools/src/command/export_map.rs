@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use map::store;
 use serde_json::json;
 
+use super::build_report::left_out;
 use map_io::text::write_map;
 
 /// Arguments.
@@ -49,6 +50,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             contents.keyframes.len(),
             contents.landmarks.len(),
         );
+        for part in left_out(&contents) {
+            println!("left out of the text: {part}");
+        }
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ use geometry::PoseWithCovariance;
 use indicatif::ProgressBar;
 use map::contents::MapContents;
 use map::sessions::{NamedSession, Session, utc_time};
-use map::store;
+use map::{FeatureKind, Landmark};
 use nalgebra::Vector3;
 use protocol::MapIdentity;
 use recognition::likely_alias;
@@ -67,6 +67,9 @@ struct Summary {
     descriptor_kind: &'static str,
     descriptor_bytes: u16,
     sigma_px: f64,
+    /// All kinds of features, the primary one first.
+    feature_kinds: Vec<KindSummary>,
+    images: ImageSummary,
     gravity_in_global: Option<[f64; 3]>,
     /// The ledger: which recordings the map was made of.
     sessions: Vec<Session>,
@@ -86,6 +89,40 @@ struct Summary {
     landmark_depth_m: Spread,
     #[serde(skip_serializing_if = "Option::is_none")]
     aliasing: Option<MapAliases>,
+}
+
+/// A kind of features.
+#[derive(Serialize)]
+struct KindSummary {
+    extractor: String,
+    descriptor_kind: &'static str,
+    descriptor_bytes: u16,
+    sigma_px: f64,
+    landmarks: usize,
+    observations: usize,
+    /// Of its landmarks on disk.
+    bytes: u64,
+}
+
+impl KindSummary {
+    fn of(kind: FeatureKind, landmarks: &[Landmark]) -> Self {
+        Self {
+            extractor: kind.extractor,
+            descriptor_kind: kind.descriptor_kind.label(),
+            descriptor_bytes: kind.descriptor_width,
+            sigma_px: kind.sigma_px,
+            landmarks: landmarks.len(),
+            observations: landmarks.iter().map(|landmark| landmark.observations.len()).sum(),
+            bytes: landmarks.iter().map(Landmark::bytes_on_disk).sum(),
+        }
+    }
+}
+
+/// The images that the map keeps.
+#[derive(Serialize)]
+struct ImageSummary {
+    count: usize,
+    bytes: usize,
 }
 
 /// Runs the command.
@@ -140,7 +177,7 @@ fn summary(map: PathBuf, stored: &NamedMap) -> Summary {
         created_by: contents.info.created_by.clone(),
         version: contents.info.version,
         identity: contents.info.identity,
-        schema: store::STORE_SCHEMA,
+        schema: contents.store_schema(),
         bytes_on_disk: stored.bytes,
         keyframes: contents.keyframes.len(),
         landmarks: contents.landmarks.len(),
@@ -152,6 +189,14 @@ fn summary(map: PathBuf, stored: &NamedMap) -> Summary {
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
         sigma_px: contents.info.sigma_px,
+        feature_kinds: contents
+            .landmarks_of_kinds()
+            .map(|(kind, landmarks)| KindSummary::of(kind, landmarks))
+            .collect(),
+        images: ImageSummary {
+            count: contents.images.len(),
+            bytes: contents.images.iter().map(|image| image.jpeg.len()).sum(),
+        },
         gravity_in_global: contents.info.gravity_in_global.map(Into::into),
         sessions: contents.info.sessions.clone(),
         ledger_problems: None,
@@ -209,8 +254,27 @@ fn print_summary(summary: &Summary) {
     println!("  a keyframe             {}", spread(&summary.landmarks_per_keyframe, 0));
     println!("observations             {}", summary.observations);
     println!("  a landmark             {}", spread(&summary.observations_per_landmark, 1));
-    println!("descriptors              {}, {} bytes", summary.descriptor_kind, summary.descriptor_bytes);
-    println!("pixel sigma, px          {}", summary.sigma_px);
+    println!("features                 {} kind(s)", summary.feature_kinds.len());
+    for kind in &summary.feature_kinds {
+        let name = if kind.extractor.is_empty() { "unknown extractor" } else { &kind.extractor };
+        println!(
+            "  {name:<22} {} landmarks, {} observations, {:.2} MB; {}, {} bytes; pixel sigma {:.2} px",
+            kind.landmarks,
+            kind.observations,
+            kind.bytes as f64 * 1e-6,
+            kind.descriptor_kind,
+            kind.descriptor_bytes,
+            kind.sigma_px
+        );
+    }
+    match summary.images.count {
+        0 => println!("images                   none kept"),
+        count => println!(
+            "images                   {count} of {} keyframes, {:.2} MB",
+            summary.keyframes,
+            summary.images.bytes as f64 * 1e-6
+        ),
+    }
     println!("gravity points to        {}", vector(summary.gravity_in_global, "unknown"));
     print_sessions(summary);
     if let Some(aliasing) = &summary.aliasing {

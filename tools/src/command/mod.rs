@@ -2,6 +2,7 @@
 
 use clap::Subcommand;
 
+pub mod add_features;
 pub mod bench;
 pub mod build_map;
 mod build_report;
@@ -100,6 +101,8 @@ pub enum Command {
     Simulate(simulate::Args),
     /// Build a map from a recording, with or without reference poses, or extend one
     BuildMap(build_map::Args),
+    /// Add features of a further kind to a map whose images were kept
+    AddFeatures(add_features::Args),
     /// Import a plain-text map
     ImportMap(import_map::Args),
     /// Make a map of a COLMAP model and its images
@@ -194,6 +197,7 @@ impl Command {
             Self::Demo(args) => demo::run(&args),
             Self::Simulate(args) => simulate::run(&args),
             Self::BuildMap(args) => build_map::run(args),
+            Self::AddFeatures(args) => add_features::run(&args),
             Self::ImportMap(args) => import_map::run(args),
             Self::ImportColmap(args) => import_colmap::run(args),
             Self::ExportMap(args) => export_map::run(args),

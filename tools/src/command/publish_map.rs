@@ -1,5 +1,6 @@
 //! `driftless publish-map`: makes a map a release in an object store.
 
+use super::build_report::left_out;
 use super::releases::in_store;
 use indicatif::{ProgressBar, ProgressStyle};
 use map::store::load_map;
@@ -122,6 +123,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         StageArg::Live => Stage::Live,
         StageArg::Candidate => Stage::Candidate,
     };
+    let left_out = left_out(&contents);
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
     bar.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len} cells {elapsed_precise}")?);
     let outcome = in_store(&args.to, async |store| {
@@ -133,6 +135,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         .await
     })?;
     bar.finish_and_clear();
+    if !args.json {
+        for part in &left_out {
+            println!("left out of the release: {part}");
+        }
+    }
     print_outcome(&outcome, args.json)
 }
 

@@ -5,6 +5,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::MapContents;
 use super::sorted::Sorted;
+use crate::added::FeatureKind;
 use crate::file::record::{Element, kind_to_byte, payload};
 use crate::model::MapMetadata;
 
@@ -20,12 +21,19 @@ impl MapContents {
         sorted.common_errors.iter().for_each(|common| digest.add(*common));
         sorted.aliases.iter().for_each(|aliases| digest.add(*aliases));
         sorted.landmarks.iter().for_each(|landmark| digest.add(landmark.as_ref()));
+        for (kind, landmarks) in &sorted.added_features {
+            digest.add_kind(kind);
+            for landmark in landmarks {
+                digest.add(landmark.as_ref());
+            }
+        }
+        sorted.images.iter().for_each(|image| digest.add(*image));
         digest.finish()
     }
 }
 
 /// A digest of what is added: all keyframes, all cross-covariances, all common errors, all aliases, all landmarks, each in the
-/// order of their keys.
+/// order of their keys, then each added kind of features with its landmarks, then all images.
 pub(crate) struct RunningDigest(Sha256);
 
 impl RunningDigest {
@@ -37,6 +45,13 @@ impl RunningDigest {
             (gravity, info.own_frame, kind, info.descriptor_width, info.sigma_px, info.extractor.as_str());
         digest.add_payload("info", &[], &payload(&facts));
         digest
+    }
+
+    /// Adds what applies to all features of an added kind.
+    pub(crate) fn add_kind(&mut self, kind: &FeatureKind) {
+        let byte = kind_to_byte(kind.descriptor_kind);
+        let facts = (byte, kind.descriptor_width, kind.sigma_px, kind.extractor.as_str());
+        self.add_payload("added_features", &[], &payload(&facts));
     }
 
     fn add<E: Element>(&mut self, element: &E) {

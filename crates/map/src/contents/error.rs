@@ -50,6 +50,22 @@ pub enum ContentsError {
         /// What is wrong with it.
         problem: CommonErrorProblem,
     },
+    /// Features of an added kind are impossible.
+    #[error("added features {extractor:?}: {problem}")]
+    AddedFeatures {
+        /// Their extractor.
+        extractor: String,
+        /// What is wrong with them.
+        problem: AddedFeaturesProblem,
+    },
+    /// The image of a keyframe is impossible.
+    #[error("image of keyframe {keyframe}: {problem}")]
+    Image {
+        /// The keyframe.
+        keyframe: KeyframeId,
+        /// What is wrong with it.
+        problem: ImageProblem,
+    },
     /// The aliases of a keyframe are impossible.
     #[error("aliases of keyframe {keyframe}: {problem}")]
     Aliases {
@@ -253,4 +269,50 @@ pub enum AliasProblem {
         /// Its log-odds.
         log_odds: f64,
     },
+}
+
+/// What can be wrong with [`crate::AddedFeatures`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum AddedFeaturesProblem {
+    /// Another kind of the map has the extractor.
+    #[error("the map has features of this extractor already")]
+    Duplicate,
+    /// The extractor has no name.
+    #[error("an added kind needs the name of its extractor, by which queries choose it")]
+    Unnamed,
+    /// What applies to all of them is impossible.
+    #[error("{0}")]
+    Kind(Box<MetadataProblem>),
+    /// An id does not come after those of the kinds before.
+    #[error(
+        "landmark {id}: its id is not larger than those of the landmarks before it, of this and of former kinds"
+    )]
+    Order {
+        /// The landmark.
+        id: LandmarkId,
+    },
+    /// A landmark is impossible.
+    #[error("landmark {id}: {problem}")]
+    Landmark {
+        /// Which landmark.
+        id: LandmarkId,
+        /// What is wrong with it.
+        problem: LandmarkProblem,
+    },
+}
+
+/// What can be wrong with a [`crate::KeptImage`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImageProblem {
+    /// The keyframe has two images.
+    #[error("the keyframe occurs twice")]
+    Duplicate,
+    /// The keyframe is missing.
+    #[error("the keyframe is not in the map")]
+    UnknownKeyframe,
+    /// The bytes are no JPEG file.
+    #[error("it is not a JPEG file")]
+    NotJpeg,
 }

@@ -1,5 +1,6 @@
 //! A whole map in memory, and the invariants that every map satisfies.
 
+mod added_validation;
 mod digest;
 mod error;
 mod observation_counts;
@@ -12,15 +13,18 @@ use geometry::Pose;
 use nalgebra::Vector3;
 use protocol::KeyframeId;
 
+pub use added_validation::validate_added_landmark;
 pub(crate) use digest::RunningDigest;
 pub use error::{
-    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem,
-    LandmarkProblem, MetadataProblem,
+    AddedFeaturesProblem, AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem,
+    ImageProblem, KeyframeProblem, LandmarkProblem, MetadataProblem,
 };
 pub use observation_counts::ObservationCounts;
 pub(crate) use sorted::Sorted;
 pub use validation::validate_landmark;
 
+use crate::added::{AddedFeatures, FeatureKind, KeptImage};
+use crate::file::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA};
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};
 
 /// A map in memory: what import, export and map building work on.
@@ -51,6 +55,10 @@ pub struct MapContents {
     pub common_errors: Vec<CommonError>,
     /// Which other places keyframes could be taken for, by keyframe; of those without an entry, it is not known.
     pub aliases: Vec<KeyframeAliases>,
+    /// Features of further kinds in the same keyframes.
+    pub added_features: Vec<AddedFeatures>,
+    /// Images of keyframes, by keyframe; of those without one, none was kept.
+    pub images: Vec<KeptImage>,
 }
 
 impl MapContents {
@@ -63,7 +71,27 @@ impl MapContents {
             cross_covariances: Vec::new(),
             common_errors: Vec::new(),
             aliases: Vec::new(),
+            added_features: Vec::new(),
+            images: Vec::new(),
         }
+    }
+
+    /// The kinds of features of the map, the primary one first.
+    pub fn feature_kinds(&self) -> impl Iterator<Item = FeatureKind> {
+        let added = self.added_features.iter().map(|added| added.kind.clone());
+        std::iter::once(self.info.feature_kind()).chain(added)
+    }
+
+    /// The kinds of features with their landmarks, the primary one first.
+    pub fn landmarks_of_kinds(&self) -> impl Iterator<Item = (FeatureKind, &[Landmark])> {
+        let added = self.added_features.iter().map(|added| added.landmarks.as_slice());
+        self.feature_kinds().zip(std::iter::once(self.landmarks.as_slice()).chain(added))
+    }
+
+    /// The layout in which the map is stored: that of older programs where it has features of one kind and no images.
+    pub fn store_schema(&self) -> u16 {
+        let is_extended = !self.added_features.is_empty() || !self.images.is_empty();
+        if is_extended { EXTENDED_STORE_SCHEMA } else { STORE_SCHEMA }
     }
 
     /// The landmarks with their positions in G (m); without those whose anchor is missing, which no valid map has.
@@ -81,9 +109,11 @@ impl MapContents {
     /// Sorts everything by id, the observations of a landmark by keyframe, and cross-covariances to `a < b`.
     pub fn sort(&mut self) {
         self.keyframes.sort_by_key(|keyframe| keyframe.id);
-        self.landmarks.sort_by_key(|landmark| landmark.id);
-        for landmark in &mut self.landmarks {
-            landmark.observations.sort_by_key(|observation| observation.keyframe);
+        for landmarks in self.landmarks_of_kinds_mut() {
+            landmarks.sort_by_key(|landmark| landmark.id);
+            for landmark in landmarks {
+                landmark.observations.sort_by_key(|observation| observation.keyframe);
+            }
         }
         for cross in &mut self.cross_covariances {
             *cross = cross.ordered();
@@ -91,16 +121,26 @@ impl MapContents {
         self.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
         self.common_errors.sort_by_key(|common| common.keyframe);
         self.aliases.sort_by_key(|aliases| aliases.keyframe);
+        self.images.sort_by_key(|image| image.keyframe);
     }
 
-    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances, common errors and
-    /// aliases of missing keyframes.
+    /// The landmarks of all kinds of features, those of the primary kind first.
+    pub(crate) fn landmarks_of_kinds_mut(&mut self) -> impl Iterator<Item = &mut Vec<Landmark>> {
+        let added = self.added_features.iter_mut().map(|added| &mut added.landmarks);
+        std::iter::once(&mut self.landmarks).chain(added)
+    }
+
+    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances, common errors, aliases and
+    /// images of missing keyframes.
     pub(crate) fn drop_dangling(&mut self) {
         let keyframes: BTreeSet<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
-        self.landmarks.retain(|landmark| keyframes.contains(&landmark.anchor));
-        for landmark in &mut self.landmarks {
-            landmark.observations.retain(|observation| keyframes.contains(&observation.keyframe));
+        for landmarks in self.landmarks_of_kinds_mut() {
+            landmarks.retain(|landmark| keyframes.contains(&landmark.anchor));
+            for landmark in landmarks {
+                landmark.observations.retain(|observation| keyframes.contains(&observation.keyframe));
+            }
         }
+        self.images.retain(|image| keyframes.contains(&image.keyframe));
         self.cross_covariances.retain(|cross| keyframes.contains(&cross.a) && keyframes.contains(&cross.b));
         self.common_errors.retain(|common| keyframes.contains(&common.keyframe));
         self.aliases.retain(|aliases| keyframes.contains(&aliases.keyframe));
@@ -109,7 +149,7 @@ impl MapContents {
         }
     }
 
-    /// Number of observations over all landmarks.
+    /// Number of observations over all landmarks of the primary kind.
     pub fn observation_count(&self) -> usize {
         self.landmarks.iter().map(|landmark| landmark.observations.len()).sum()
     }

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use super::MapContents;
+use crate::added::{FeatureKind, KeptImage};
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
 
 /// What [`MapContents::sort`] would make of a map: everything by its key, observations by keyframe, `a < b`.
@@ -12,24 +13,39 @@ pub(crate) struct Sorted<'a> {
     pub(crate) cross_covariances: Vec<Cow<'a, KeyframeCrossCovariance>>,
     pub(crate) common_errors: Vec<&'a CommonError>,
     pub(crate) aliases: Vec<&'a KeyframeAliases>,
+    /// The added kinds with their landmarks.
+    pub(crate) added_features: Vec<(&'a FeatureKind, Vec<Cow<'a, Landmark>>)>,
+    pub(crate) images: Vec<&'a KeptImage>,
 }
 
 impl<'a> Sorted<'a> {
     pub(crate) fn of(contents: &'a MapContents) -> Self {
         let mut sorted = Sorted {
             keyframes: contents.keyframes.iter().collect(),
-            landmarks: contents.landmarks.iter().map(with_sorted_observations).collect(),
+            landmarks: sorted_landmarks(&contents.landmarks),
             cross_covariances: contents.cross_covariances.iter().map(ordered).collect(),
             common_errors: contents.common_errors.iter().collect(),
             aliases: contents.aliases.iter().collect(),
+            added_features: contents
+                .added_features
+                .iter()
+                .map(|added| (&added.kind, sorted_landmarks(&added.landmarks)))
+                .collect(),
+            images: contents.images.iter().collect(),
         };
         sorted.keyframes.sort_by_key(|keyframe| keyframe.id);
-        sorted.landmarks.sort_by_key(|landmark| landmark.id);
         sorted.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
         sorted.common_errors.sort_by_key(|common| common.keyframe);
         sorted.aliases.sort_by_key(|aliases| aliases.keyframe);
+        sorted.images.sort_by_key(|image| image.keyframe);
         sorted
     }
+}
+
+fn sorted_landmarks(landmarks: &[Landmark]) -> Vec<Cow<'_, Landmark>> {
+    let mut sorted: Vec<_> = landmarks.iter().map(with_sorted_observations).collect();
+    sorted.sort_by_key(|landmark| landmark.id);
+    sorted
 }
 
 fn with_sorted_observations(landmark: &Landmark) -> Cow<'_, Landmark> {

@@ -29,11 +29,13 @@ impl MapContents {
     /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
     /// keyframe, what its common error leaves of it, and of each pair with a cross-covariance) are symmetric and positive
-    /// semi-definite, each landmark is observed by its anchor, aliases are of other keyframes and have finite log-odds, and every keyframe has
-    /// one session, unless the map has no ledger of its sessions.
+    /// semi-definite, each landmark is observed by its anchor, aliases are of other keyframes and have finite log-odds, every keyframe has
+    /// one session, unless the map has no ledger of its sessions, added kinds of features have extractors and ids of their own, and images
+    /// are of keyframes.
     ///
     /// # Errors
-    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances, aliases.
+    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances, aliases, added features,
+    /// images.
     pub fn validate(&self) -> Result<(), ContentsError> {
         check_metadata(&self.info)?;
         check_ledger(&self.info, &self.keyframes).map_err(|problem| ContentsError::Metadata {
@@ -61,7 +63,9 @@ impl MapContents {
                 .and_then(|()| ensure(first, CrossCovarianceProblem::Duplicate))
                 .map_err(|problem| ContentsError::CrossCovariance { a: cross.a, b: cross.b, problem })?;
         }
-        self.check_aliases(&keyframes)
+        self.check_aliases(&keyframes)?;
+        self.check_added_features(|id| keyframes.get(&id).copied())?;
+        self.check_images(|id| keyframes.contains_key(&id))
     }
 
     fn check_aliases(&self, keyframes: &Keyframes<'_>) -> Result<(), ContentsError> {
@@ -104,7 +108,7 @@ pub fn validate_landmark<'a>(
         .map_err(|problem| ContentsError::Landmark { id: landmark.id, problem })
 }
 
-fn ensure<E>(holds: bool, problem: E) -> Result<(), E> {
+pub(super) fn ensure<E>(holds: bool, problem: E) -> Result<(), E> {
     if holds { Ok(()) } else { Err(problem) }
 }
 
@@ -113,7 +117,7 @@ fn check_metadata(info: &MapMetadata) -> Result<(), ContentsError> {
     metadata_problem(info).map_or(Ok(()), |problem| Err(ContentsError::Metadata { problem }))
 }
 
-fn metadata_problem(info: &MapMetadata) -> Option<MetadataProblem> {
+pub(super) fn metadata_problem(info: &MapMetadata) -> Option<MetadataProblem> {
     let width = info.descriptor_width;
     if width == 0 {
         return Some(MetadataProblem::EmptyDescriptors);
@@ -155,7 +159,7 @@ fn check_keyframe(info: &MapMetadata, keyframe: &Keyframe) -> Result<(), Keyfram
 }
 
 /// Checks one landmark against the keyframes that it names.
-fn check_landmark<'a>(
+pub(super) fn check_landmark<'a>(
     info: &MapMetadata,
     landmark: &Landmark,
     keyframe: impl Fn(KeyframeId) -> Option<&'a Keyframe>,

@@ -37,11 +37,15 @@ pub struct Compared<'a> {
 }
 
 impl<'a> Compared<'a> {
-    /// A whole map.
+    /// A whole map, with all kinds of features.
     pub fn of(contents: &'a MapContents) -> Self {
         let mut compared = Self::default();
         contents.keyframes.iter().for_each(|keyframe| compared.add_keyframe(keyframe));
-        contents.landmarks.iter().for_each(|landmark| compared.add_landmark(landmark));
+        for (_, landmarks) in contents.landmarks_of_kinds() {
+            for landmark in landmarks {
+                compared.add_landmark(landmark);
+            }
+        }
         contents.cross_covariances.iter().for_each(|cross| compared.add_cross_covariance(cross));
         contents.common_errors.iter().for_each(|common| compared.add_common_error(common));
         compared

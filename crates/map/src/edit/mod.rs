@@ -34,7 +34,7 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
     contents.keyframes.iter().filter(|keyframe| holds(keyframe)).map(|keyframe| keyframe.id).collect()
 }
 
-/// Takes keyframes out of a map, with their observations, cross-covariances, common errors and aliases.
+/// Takes keyframes out of a map, with their observations, cross-covariances, common errors, aliases and images.
 ///
 /// A landmark whose anchor is taken out is expressed in the frame of the next keyframe that observes it; one that no keyframe
 /// observes any more is taken out, too. Poses and covariances of the others stay: they say what was learned from all.
@@ -54,23 +54,27 @@ pub fn remove_keyframes(contents: &mut MapContents, removed: &BTreeSet<KeyframeI
     let poses: BTreeMap<KeyframeId, Pose> =
         contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
     contents.keyframes.retain(|keyframe| !removed.contains(&keyframe.id));
-    for landmark in &mut contents.landmarks {
-        landmark.observations.retain(|observation| !removed.contains(&observation.keyframe));
-        let Some(next) = landmark.observations.first() else { continue };
-        if removed.contains(&landmark.anchor) {
-            let in_global = poses[&landmark.anchor].transform(&landmark.position_in_anchor);
-            landmark.anchor = next.keyframe;
-            landmark.position_in_anchor = poses[&next.keyframe].inverse_transform(&in_global);
+    for landmarks in contents.landmarks_of_kinds_mut() {
+        for landmark in landmarks.iter_mut() {
+            landmark.observations.retain(|observation| !removed.contains(&observation.keyframe));
+            let Some(next) = landmark.observations.first() else { continue };
+            if removed.contains(&landmark.anchor) {
+                let in_global = poses[&landmark.anchor].transform(&landmark.position_in_anchor);
+                landmark.anchor = next.keyframe;
+                landmark.position_in_anchor = poses[&next.keyframe].inverse_transform(&in_global);
+            }
         }
+        landmarks.retain(|landmark| !landmark.observations.is_empty());
     }
-    contents.landmarks.retain(|landmark| !landmark.observations.is_empty());
     contents.drop_dangling();
 }
 
-/// Takes out the landmarks for whose position in G (m) a condition does not hold.
+/// Takes out the landmarks, of all kinds of features, for whose position in G (m) a condition does not hold.
 pub fn retain_landmarks(contents: &mut MapContents, holds: impl Fn(&Vector3<f64>) -> bool) {
     let poses: BTreeMap<KeyframeId, Pose> =
         contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
     let position = |landmark: &Landmark| poses[&landmark.anchor].transform(&landmark.position_in_anchor);
-    contents.landmarks.retain(|landmark| holds(&position(landmark)));
+    for landmarks in contents.landmarks_of_kinds_mut() {
+        landmarks.retain(|landmark| holds(&position(landmark)));
+    }
 }

@@ -5,10 +5,13 @@ use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
 use super::segment::{SegmentName, sha256};
+use crate::added::FeatureKind;
 use crate::model::MapMetadata;
 
-/// Layout of a map on disk. Maps with another number are refused.
+/// Layout of a map on disk that has features of one kind and no images.
 pub const STORE_SCHEMA: u16 = 9;
+/// Layout of a map with added features or images. Maps with another number than these two are refused.
+pub const EXTENDED_STORE_SCHEMA: u16 = 10;
 
 /// What a folder states of its map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,6 +24,22 @@ pub(crate) struct Manifest {
     /// Segments without landmarks, in the order of their keys ...
     pub frame: Vec<SegmentName>,
     /// ... and behind them in the same file those with landmarks only.
+    pub landmarks: Vec<SegmentName>,
+    /// Behind them, kind by kind, the landmarks of added features ...
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub added_features: Vec<AddedSegments>,
+    /// ... and the images of keyframes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub images: Vec<SegmentName>,
+}
+
+/// What a manifest states of an added kind of features.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct AddedSegments {
+    /// The kind.
+    pub kind: FeatureKind,
+    /// Segments with its landmarks only.
     pub landmarks: Vec<SegmentName>,
 }
 
@@ -47,6 +66,8 @@ pub(crate) enum ManifestError {
     Checksum,
     #[error("it states no map that was stored")]
     NotStored,
+    #[error("it has not the fields of schema {schema}")]
+    Fields { schema: u16 },
 }
 
 impl Manifest {
@@ -55,7 +76,7 @@ impl Manifest {
         let text = serde_json::to_string_pretty(self)?;
         let sha256 = sha256(text.as_bytes());
         let manifest: &RawValue = serde_json::from_str(&text)?;
-        let mut text = serde_json::to_vec_pretty(&Sealed { schema: STORE_SCHEMA, sha256, manifest })?;
+        let mut text = serde_json::to_vec_pretty(&Sealed { schema: self.schema(), sha256, manifest })?;
         text.push(b'\n');
         Ok(text)
     }
@@ -68,7 +89,7 @@ impl Manifest {
             schema: u16,
         }
         let Numbered { schema: found } = serde_json::from_slice(text)?;
-        if found != STORE_SCHEMA {
+        if ![STORE_SCHEMA, EXTENDED_STORE_SCHEMA].contains(&found) {
             return Err(ManifestError::Schema { found });
         }
         let Sealed { sha256: stated, manifest, .. } = serde_json::from_slice(text)?;
@@ -79,12 +100,22 @@ impl Manifest {
         if manifest.map.identity.is_none() || [0, u64::MAX].contains(&manifest.map.version) {
             return Err(ManifestError::NotStored);
         }
+        if manifest.schema() != found {
+            return Err(ManifestError::Fields { schema: found });
+        }
         Ok(manifest)
+    }
+
+    /// The layout: programs that know only the first one read maps that need nothing else.
+    pub(crate) fn schema(&self) -> u16 {
+        let is_extended = !self.added_features.is_empty() || !self.images.is_empty();
+        if is_extended { EXTENDED_STORE_SCHEMA } else { STORE_SCHEMA }
     }
 
     /// In the order in which they are in the file.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
-        self.frame.iter().chain(&self.landmarks)
+        let added = self.added_features.iter().flat_map(|added| &added.landmarks);
+        self.frame.iter().chain(&self.landmarks).chain(added).chain(&self.images)
     }
 
     /// Bytes of all segments.

@@ -8,11 +8,13 @@
 //! |---|---|
 //! | [`record`] | one element of a map: version, checksum, layout |
 //! | [`segment`] | many of them |
+//! | `list` | records of one kind, as segments have them |
 //! | `manifest` | what a folder states of its map |
 
+mod list;
 pub(crate) mod manifest;
 pub mod record;
 pub mod segment;
 
-pub use manifest::STORE_SCHEMA;
+pub use manifest::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA};
 pub use segment::{Segment, SegmentError, SegmentName, SegmentWriter};

@@ -6,19 +6,36 @@
 //!     number of records u64 LE
 //!     for each, ascending: key (8 bytes, of a pair 16, big-endian) | length u32 LE | record
 //! ```
-//! Equal contents have equal bytes, whatever program and machine wrote them.
+//! Equal contents have equal bytes, whatever program and machine wrote them. A segment of images begins with `"driftless images 1\n"`
+//! and has one list, that of the images.
 
-use protocol::LandmarkId;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use super::record::{self, Element, RecordError, Table, key_bytes};
+use super::list::{List, Reader};
+use super::record::{Element, RecordError, Table};
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
 
-const MAGIC: &[u8] = b"driftless segment 4\n";
-/// In the order of their lists.
-const TABLES: [Table; 5] =
-    [Table::Keyframes, Table::Landmarks, Table::CrossCovariances, Table::CommonErrors, Table::Aliases];
+/// How a segment begins, and its lists in their order.
+pub(crate) struct Layout {
+    magic: &'static [u8],
+    tables: &'static [Table],
+}
+
+/// Of a part of a map.
+pub(crate) const OF_MAP: &Layout = &Layout {
+    magic: b"driftless segment 4\n",
+    tables: &[
+        Table::Keyframes,
+        Table::Landmarks,
+        Table::CrossCovariances,
+        Table::CommonErrors,
+        Table::Aliases,
+    ],
+};
+
+/// Of images of keyframes.
+pub(crate) const OF_IMAGES: &Layout = &Layout { magic: b"driftless images 1\n", tables: &[Table::Images] };
 
 /// What a segment holds, each by its key.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -117,19 +134,29 @@ pub fn sha256(bytes: &[u8]) -> String {
 /// assert_eq!(Segment::decode(&writer.finish())?.aliases, [aliases]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Default)]
 pub struct SegmentWriter {
-    /// By table, in the order of [`TABLES`].
-    lists: [List; TABLES.len()],
+    layout: &'static Layout,
+    /// By table, in the order of the layout.
+    lists: Vec<List>,
 }
 
-#[derive(Default)]
-struct List {
-    count: u64,
-    bytes: Vec<u8>,
+impl Default for SegmentWriter {
+    fn default() -> Self {
+        SegmentWriter::new(OF_MAP)
+    }
 }
 
 impl SegmentWriter {
+    /// A segment of images of keyframes.
+    pub fn of_images() -> SegmentWriter {
+        SegmentWriter::new(OF_IMAGES)
+    }
+
+    /// An empty segment.
+    pub(crate) fn new(layout: &'static Layout) -> SegmentWriter {
+        SegmentWriter { layout, lists: layout.tables.iter().map(|_| List::default()).collect() }
+    }
+
     /// Adds an element.
     ///
     /// # Returns
@@ -138,18 +165,12 @@ impl SegmentWriter {
     /// # Errors
     /// [`RecordError::Unencodable`], of a record beyond 4 GiB.
     pub fn add<E: Element>(&mut self, element: &E) -> Result<&[u8], RecordError> {
-        let key = key_bytes(element.key().as_ref());
-        let sealed = record::seal(E::TABLE.name(), &key, &element.to_record())?;
-        let length = u32::try_from(sealed.len()).map_err(|_| RecordError::Unencodable {
-            reason: format!("a record of {} bytes is too long", sealed.len()),
-        })?;
-        let list = &mut self.lists[E::TABLE as usize];
-        list.count += 1;
-        list.bytes.extend(key);
-        list.bytes.extend(length.to_le_bytes());
-        let start = list.bytes.len() + record::HEADER_BYTES;
-        list.bytes.extend(sealed);
-        Ok(&list.bytes[start..])
+        let position = self.layout.tables.iter().position(|&table| table == E::TABLE);
+        let Some(list) = position.and_then(|at| self.lists.get_mut(at)) else {
+            let reason = format!("a segment of this kind has no {}", E::TABLE.name());
+            return Err(RecordError::Unencodable { reason });
+        };
+        list.add(element)
     }
 
     /// Bytes of the records so far.
@@ -159,8 +180,9 @@ impl SegmentWriter {
 
     /// The segment.
     pub fn finish(self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(MAGIC.len() + 8 * TABLES.len() + self.bytes());
-        bytes.extend(MAGIC);
+        let Layout { magic, tables } = self.layout;
+        let mut bytes = Vec::with_capacity(magic.len() + 8 * tables.len() + self.bytes());
+        bytes.extend(*magic);
         for list in self.lists {
             bytes.extend(list.count.to_le_bytes());
             bytes.extend(list.bytes);
@@ -175,7 +197,7 @@ impl Segment {
     /// # Errors
     /// [`SegmentError`].
     pub fn decode(bytes: &[u8]) -> Result<Segment, SegmentError> {
-        let mut reader = Reader::new(bytes)?;
+        let mut reader = Reader::new(bytes, OF_MAP.magic)?;
         let segment = Segment {
             keyframes: reader.elements()?,
             landmarks: reader.elements()?,
@@ -194,28 +216,31 @@ impl Segment {
     }
 }
 
-/// Visits the payloads of the landmarks of a segment that holds nothing else, by id.
+/// Visits the payloads of one kind of records in a segment that holds nothing else, by id.
 ///
 /// # Arguments
-/// * `after`: the last landmark of the segment before it; those of this one come after it.
+/// * `table`: the kind, whose key is one id.
+/// * `after`: the last id of the segment before it; those of this one come after it.
 ///
 /// # Returns
-/// The last landmark.
+/// The last id.
 ///
 /// # Errors
 /// [`SegmentError`]; the first record that cannot be used ends it.
-pub(crate) fn visit_landmarks(
+pub(crate) fn visit_records(
     bytes: &[u8],
-    after: Option<LandmarkId>,
-    mut visit: impl FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
-) -> Result<Option<LandmarkId>, SegmentError> {
-    let mut reader = Reader::new(bytes)?;
+    layout: &Layout,
+    table: Table,
+    after: Option<u64>,
+    mut visit: impl FnMut(u64, &[u8]) -> Result<(), RecordError>,
+) -> Result<Option<u64>, SegmentError> {
+    let mut reader = Reader::new(bytes, layout.magic)?;
     let mut last = after.map(|id| [id]);
-    for table in TABLES {
-        if table == Table::Landmarks {
+    for &listed in layout.tables {
+        if listed == table {
             last = reader.records(table, last, |[id]: [u64; 1], payload| visit(id, payload))?;
-        } else if reader.array().map(u64::from_le_bytes)? > 0 {
-            return Err(misplaced(table));
+        } else if reader.count()? > 0 {
+            return Err(misplaced(listed));
         }
     }
     reader.end()?;
@@ -224,82 +249,4 @@ pub(crate) fn visit_landmarks(
 
 fn misplaced(table: Table) -> SegmentError {
     SegmentError::Misplaced { table: table.name() }
-}
-
-struct Reader<'a> {
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl<'a> Reader<'a> {
-    fn new(bytes: &'a [u8]) -> Result<Self, SegmentError> {
-        if bytes.starts_with(MAGIC) {
-            Ok(Self { bytes, at: MAGIC.len() })
-        } else {
-            Err(SegmentError::NotASegment)
-        }
-    }
-
-    fn elements<E: Element>(&mut self) -> Result<Vec<E>, SegmentError> {
-        let mut elements = Vec::new();
-        self.records(E::TABLE, None, |key, payload| {
-            elements.push(E::from_record(key, record::decode(payload)?)?);
-            Ok(())
-        })?;
-        elements.shrink_to_fit();
-        Ok(elements)
-    }
-
-    /// Visits keys and payloads of the next list.
-    ///
-    /// # Arguments
-    /// * `previous`: the key after which they come.
-    ///
-    /// # Returns
-    /// The last key.
-    fn records<K: Copy + Default + Ord + AsRef<[u64]> + AsMut<[u64]>>(
-        &mut self,
-        table: Table,
-        mut previous: Option<K>,
-        mut visit: impl FnMut(K, &[u8]) -> Result<(), RecordError>,
-    ) -> Result<Option<K>, SegmentError> {
-        for _ in 0..u64::from_le_bytes(self.array()?) {
-            let mut key = K::default();
-            let key_bytes = self.take(8 * key.as_ref().len())?;
-            for (id, bytes) in key.as_mut().iter_mut().zip(key_bytes.as_chunks().0) {
-                *id = u64::from_be_bytes(*bytes);
-            }
-            let record = || table.describe(key.as_ref());
-            if previous.is_some_and(|previous| previous >= key) {
-                return Err(SegmentError::Order { record: record() });
-            }
-            let length = u32::from_le_bytes(self.array()?) as usize;
-            record::open(table.name(), key_bytes, self.take(length)?)
-                .and_then(|payload| visit(key, payload))
-                .map_err(|problem| SegmentError::Record { record: record(), problem })?;
-            previous = Some(key);
-        }
-        Ok(previous)
-    }
-
-    fn end(self) -> Result<(), SegmentError> {
-        match self.bytes.len() - self.at {
-            0 => Ok(()),
-            bytes => Err(SegmentError::TooLong { bytes }),
-        }
-    }
-
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], SegmentError> {
-        let mut array = [0; N];
-        array.copy_from_slice(self.take(N)?);
-        Ok(array)
-    }
-
-    fn take(&mut self, count: usize) -> Result<&'a [u8], SegmentError> {
-        let end = self.at.checked_add(count);
-        let taken = end.and_then(|end| self.bytes.get(self.at..end));
-        let taken = taken.ok_or(SegmentError::CutOff { bytes: self.bytes.len() })?;
-        self.at += count;
-        Ok(taken)
-    }
 }

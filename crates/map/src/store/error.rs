@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use protocol::MapIdentity;
 
 use crate::contents::ContentsError;
+use crate::file::STORE_SCHEMA;
 use crate::file::record::RecordError;
 use crate::file::segment::SegmentError;
 
@@ -43,7 +44,7 @@ pub enum StoreError {
     },
     /// The map was written by an incompatible version of this program.
     #[error(
-        "the map {path} has schema {found}, this program reads schema {expected}: \
+        "the map {path} has schema {found}, this program reads schemas {STORE_SCHEMA} to {expected}: \
          export it with the version that wrote it and import it again"
     )]
     Schema {
@@ -51,7 +52,7 @@ pub enum StoreError {
         path: PathBuf,
         /// The number in the store.
         found: u16,
-        /// [`super::STORE_SCHEMA`].
+        /// The newest one that is read, [`super::EXTENDED_STORE_SCHEMA`].
         expected: u16,
     },
     /// A copy of one map cannot take the place of another one.

@@ -7,7 +7,7 @@ use protocol::MapIdentity;
 
 use super::error::{Damage, StoreError};
 
-use crate::file::manifest::{Manifest, ManifestError, STORE_SCHEMA};
+use crate::file::manifest::{EXTENDED_STORE_SCHEMA, Manifest, ManifestError};
 
 /// Its name in the folder of a map.
 pub(super) const MANIFEST: &str = "manifest.json";
@@ -123,7 +123,7 @@ pub(super) fn read_manifest(map: &Path) -> Result<Manifest, StoreError> {
     })?;
     Manifest::decode(&text).map_err(|error| match error {
         ManifestError::Schema { found } => {
-            StoreError::Schema { path: map.to_owned(), found, expected: STORE_SCHEMA }
+            StoreError::Schema { path: map.to_owned(), found, expected: EXTENDED_STORE_SCHEMA }
         }
         error => damaged(error.to_string()),
     })

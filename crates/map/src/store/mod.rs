@@ -14,6 +14,7 @@
 //! | `error` | [`StoreError`] |
 //! | `folder` | what a folder holds |
 //! | `reading` | [`load_map`], [`open_map`]: verified once, before anything of it is used |
+//! | `stored_images` | [`StoredImages`], read one at a time |
 //! | `stored_landmarks` | [`StoredLandmarks`], read one at a time |
 //! | `stored_map` | [`StoredMap`], [`SavedMap`] |
 //! | `target` | [`MapTarget`], [`save_map`]: what is replaced is what was there at the begin |
@@ -23,16 +24,18 @@
 mod error;
 mod folder;
 mod reading;
+mod stored_images;
 mod stored_landmarks;
 mod stored_map;
 mod target;
 mod version_file;
 mod writing;
 
-pub use crate::file::STORE_SCHEMA;
+pub use crate::file::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA};
 pub use error::{Damage, StoreError, WriteProblem};
 pub use folder::{ensure_free, is_map};
 pub use reading::{load_map, open_map};
+pub use stored_images::StoredImages;
 pub use stored_landmarks::StoredLandmarks;
 pub use stored_map::{SavedMap, StoredMap};
 pub use target::{MapTarget, save_map};

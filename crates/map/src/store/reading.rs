@@ -4,12 +4,13 @@ use std::path::Path;
 
 use super::error::StoreError;
 use super::folder::{Kind, kind_of, read_manifest};
-use super::stored_landmarks::{StoredLandmarks, decode_landmark};
+use super::stored_landmarks::{LandmarkCounts, StoredLandmarks, decode_landmark};
 use super::stored_map::StoredMap;
 use super::version_file::VersionFile;
+use crate::added::KeptImage;
 use crate::contents::ObservationCounts;
 use crate::file::manifest::Manifest;
-use crate::file::record::{LandmarkObservers, decode};
+use crate::file::record::{Element as _, LandmarkObservers, decode};
 
 /// How often reading starts again because the map was replaced meanwhile.
 const ATTEMPTS: usize = 5;
@@ -26,16 +27,23 @@ pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
     read_present(path, |manifest| {
         let mut file = VersionFile::open(path, manifest)?;
         let mut contents = file.read_frame()?;
-        file.visit_landmarks(true, |id, payload| {
-            contents.landmarks.push(decode_landmark(id, payload)?);
+        for (added, landmarks) in kinds(manifest).zip(contents.landmarks_of_kinds_mut()) {
+            file.visit_landmarks(added, true, |id, payload| {
+                landmarks.push(decode_landmark(id, payload)?);
+                Ok(())
+            })?;
+            landmarks.shrink_to_fit();
+        }
+        file.visit_images(|keyframe, payload| {
+            contents.images.push(KeptImage::from_record([keyframe], decode(payload)?)?);
             Ok(())
         })?;
-        contents.landmarks.shrink_to_fit();
-        Ok(StoredMap { contents, bytes_on_disk: manifest.bytes() })
+        Ok(StoredMap { contents, bytes_on_disk: manifest.bytes(), schema: manifest.schema() })
     })
 }
 
-/// Opens the map in a folder: all of it but the landmarks, and these to be read one at a time.
+/// Opens the map in a folder: all of it but the landmarks, and these to be read one at a time. The images of keyframes are left
+/// out; [`StoredImages`](super::StoredImages) reads them.
 ///
 /// For those who keep landmarks in a form of their own: the whole map is never in memory twice. As with [`load_map`], all of
 /// it is verified before this returns.
@@ -52,7 +60,7 @@ pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
 /// let path = folder.path().join("hall.db");
 /// let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
 /// store::save_map(&path, &contents, false)?;
-/// let (stored, landmarks) = store::open_map(&path)?;
+/// let (stored, mut landmarks) = store::open_map(&path)?;
 /// let mut count = 0;
 /// landmarks.read(|_| count += 1)?;
 /// assert_eq!((stored.contents.keyframes.len(), count), (0, 0));
@@ -63,20 +71,29 @@ pub fn open_map(path: impl AsRef<Path>) -> Result<(StoredMap, StoredLandmarks), 
     read_present(path, |manifest| {
         let mut file = VersionFile::open(path, manifest)?;
         let contents = file.read_frame()?;
-        let mut counts = ObservationCounts::of(&contents.keyframes);
-        let mut count = 0;
-        file.visit_landmarks(true, |_, payload| {
-            count += 1;
-            counts.add_observers(decode::<LandmarkObservers>(payload)?.keyframes());
-            Ok(())
-        })?;
-        let landmarks = StoredLandmarks { file, count, observation_counts: counts.finish() };
-        Ok((StoredMap { contents, bytes_on_disk: manifest.bytes() }, landmarks))
+        let mut counted = Vec::with_capacity(1 + contents.added_features.len());
+        for added in kinds(manifest) {
+            let (mut count, mut counts) = (0, ObservationCounts::of(&contents.keyframes));
+            file.visit_landmarks(added, true, |_, payload| {
+                count += 1;
+                counts.add_observers(decode::<LandmarkObservers>(payload)?.keyframes());
+                Ok(())
+            })?;
+            counted.push(LandmarkCounts { landmarks: count, observations: counts.finish() });
+        }
+        file.visit_images(|_, _| Ok(()))?;
+        let landmarks = StoredLandmarks { file, counted };
+        Ok((StoredMap { contents, bytes_on_disk: manifest.bytes(), schema: manifest.schema() }, landmarks))
     })
 }
 
+/// The kinds of features of a map, as [`VersionFile::visit_landmarks`] takes them.
+fn kinds(manifest: &Manifest) -> impl Iterator<Item = Option<usize>> {
+    std::iter::once(None).chain((0..manifest.added_features.len()).map(Some))
+}
+
 /// Reads the version that the manifest in a folder names, again where it was replaced meanwhile.
-fn read_present<T>(
+pub(super) fn read_present<T>(
     map: &Path,
     of_version: impl Fn(&Manifest) -> Result<T, StoreError>,
 ) -> Result<T, StoreError> {

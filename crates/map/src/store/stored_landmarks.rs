@@ -13,27 +13,43 @@ use crate::model::Landmark;
 /// of them first, and never has them in memory twice.
 pub struct StoredLandmarks {
     pub(super) file: VersionFile,
-    pub(super) count: usize,
-    pub(super) observation_counts: Vec<u32>,
+    /// By kind of features, the primary one first.
+    pub(super) counted: Vec<LandmarkCounts>,
+}
+
+/// What was counted of the landmarks of one kind of features.
+pub(super) struct LandmarkCounts {
+    pub(super) landmarks: usize,
+    /// By keyframe.
+    pub(super) observations: Vec<u32>,
 }
 
 impl StoredLandmarks {
-    /// Number of landmarks.
-    pub fn count(&self) -> usize {
-        self.count
+    /// Number of landmarks of a kind.
+    ///
+    /// # Arguments
+    /// * `kind`: 0 the primary one, then the added ones in their order; one that the map has.
+    pub fn count(&self, kind: usize) -> usize {
+        self.counted[kind].landmarks
     }
 
-    /// Number of observations by each keyframe, in the order of the map's keyframes.
-    pub fn observation_counts(&self) -> &[u32] {
-        &self.observation_counts
+    /// Number of observations of a kind's landmarks by each keyframe, in the order of the map's keyframes.
+    ///
+    /// # Arguments
+    /// * `kind`: as of [`StoredLandmarks::count`].
+    pub fn observation_counts(&self, kind: usize) -> &[u32] {
+        &self.counted[kind].observations
     }
 
-    /// Calls `visit` with each landmark by id, the observations of each sorted by keyframe.
+    /// Calls `visit` with each landmark of a kind by id, the observations of each sorted by keyframe.
+    ///
+    /// # Arguments
+    /// * `kind`: as of [`StoredLandmarks::count`].
     ///
     /// # Errors
     /// [`StoreError::Damaged`], [`StoreError::Read`] where the file fails now.
-    pub fn read(mut self, mut visit: impl FnMut(Landmark)) -> Result<(), StoreError> {
-        self.file.visit_landmarks(false, |id, payload| {
+    pub fn read(&mut self, kind: usize, mut visit: impl FnMut(Landmark)) -> Result<(), StoreError> {
+        self.file.visit_landmarks(kind.checked_sub(1), false, |id, payload| {
             visit(decode_landmark(id, payload)?);
             Ok(())
         })

@@ -12,6 +12,8 @@ pub struct StoredMap {
     pub contents: MapContents,
     /// Bytes of the map's files.
     pub bytes_on_disk: u64,
+    /// Layout of its files: [`STORE_SCHEMA`](super::STORE_SCHEMA) or [`EXTENDED_STORE_SCHEMA`](super::EXTENDED_STORE_SCHEMA).
+    pub schema: u16,
 }
 
 /// What a map became by being written.

@@ -4,14 +4,15 @@ use std::fs::File;
 use std::io::{ErrorKind, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use protocol::LandmarkId;
+use protocol::{KeyframeId, LandmarkId};
 
 use super::error::{Damage, StoreError};
 use super::folder::file_of;
+use crate::added::{AddedFeatures, FeatureKind};
 use crate::contents::MapContents;
 use crate::file::manifest::Manifest;
-use crate::file::record::{Element, RecordError};
-use crate::file::segment::{self, Segment, SegmentError, SegmentName};
+use crate::file::record::{Element, RecordError, Table};
+use crate::file::segment::{Layout, OF_IMAGES, OF_MAP, Segment, SegmentError, SegmentName, visit_records};
 
 /// The open file of a version. It can be read to its end when the map has been replaced meanwhile.
 pub(super) struct VersionFile {
@@ -41,9 +42,11 @@ impl VersionFile {
         Ok(VersionFile { map: map.to_owned(), name, file, manifest: manifest.clone() })
     }
 
-    /// Reads all but the landmarks.
+    /// Reads all but the landmarks and the images; the added kinds of features are there without their landmarks.
     pub(super) fn read_frame(&mut self) -> Result<MapContents, StoreError> {
         let mut contents = MapContents::empty(self.manifest.map.clone());
+        let added = |kind: &FeatureKind| AddedFeatures { kind: kind.clone(), landmarks: Vec::new() };
+        contents.added_features = self.manifest.added_features.iter().map(|of| added(&of.kind)).collect();
         self.visit_segments(0, &self.manifest.frame.clone(), true, |bytes| {
             let Segment { keyframes, cross_covariances, common_errors, aliases, .. } =
                 Segment::decode_frame(bytes)?;
@@ -58,16 +61,54 @@ impl VersionFile {
     /// Visits the payloads of the landmarks' records by id.
     ///
     /// # Arguments
+    /// * `added`: of which added kind of features; `None` for those of the primary kind.
     /// * `verify`: whether each segment must have its SHA-256, as the first time that it is read.
     pub(super) fn visit_landmarks(
         &mut self,
+        added: Option<usize>,
         verify: bool,
-        mut visit: impl FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
+        visit: impl FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
     ) -> Result<(), StoreError> {
-        let start = self.manifest.frame.iter().map(|segment| segment.bytes).sum();
+        let Manifest { frame, landmarks, added_features, .. } = &self.manifest;
+        let before = added_features[..added.unwrap_or(0)].iter().flat_map(|of| &of.landmarks);
+        let start = match added {
+            None => bytes_of(frame),
+            Some(_) => bytes_of(frame) + bytes_of(landmarks) + bytes_of(before),
+        };
+        let segments = added.map_or(landmarks, |at| &added_features[at].landmarks).clone();
+        self.visit_records((start, &segments), OF_MAP, Table::Landmarks, verify, visit)
+    }
+
+    /// Visits the payloads of the images' records by keyframe. Every segment must have its SHA-256.
+    pub(super) fn visit_images(
+        &mut self,
+        visit: impl FnMut(KeyframeId, &[u8]) -> Result<(), RecordError>,
+    ) -> Result<(), StoreError> {
+        let (start, segments) = self.images();
+        self.visit_records((start, &segments), OF_IMAGES, Table::Images, true, visit)
+    }
+
+    /// Where the segments of images begin, and which they are.
+    pub(super) fn images(&self) -> (u64, Vec<SegmentName>) {
+        let images = self.manifest.images.clone();
+        (self.manifest.bytes() - bytes_of(&images), images)
+    }
+
+    /// Visits the payloads of records in segments that hold nothing else and follow each other.
+    ///
+    /// # Arguments
+    /// * `segments`: with the byte at which the first one begins.
+    pub(super) fn visit_records(
+        &mut self,
+        (start, segments): (u64, &[SegmentName]),
+        layout: &Layout,
+        table: Table,
+        verify: bool,
+        mut visit: impl FnMut(u64, &[u8]) -> Result<(), RecordError>,
+    ) -> Result<(), StoreError> {
         let mut previous = None;
-        self.visit_segments(start, &self.manifest.landmarks.clone(), verify, |bytes| {
-            previous = segment::visit_landmarks(bytes, previous, &mut visit)?;
+        self.visit_segments(start, segments, verify, |bytes| {
+            previous = visit_records(bytes, layout, table, previous, &mut visit)?;
             Ok(())
         })
     }
@@ -106,6 +147,10 @@ impl VersionFile {
     fn damaged(&self, damage: Damage) -> StoreError {
         StoreError::Damaged { path: self.map.clone(), damage }
     }
+}
+
+fn bytes_of<'a>(segments: impl IntoIterator<Item = &'a SegmentName>) -> u64 {
+    segments.into_iter().map(|segment| segment.bytes).fold(0, u64::saturating_add)
 }
 
 /// Adds what the next segment holds.

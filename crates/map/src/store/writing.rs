@@ -8,14 +8,16 @@ use super::error::{StoreError, WriteProblem};
 use super::folder::{Kind, LOCK, MANIFEST, Seen, ensure_free, entries, file_of, kind_of, version_of};
 use super::stored_map::SavedMap;
 use crate::contents::{MapContents, RunningDigest, Sorted};
-use crate::file::manifest::Manifest;
+use crate::file::manifest::{AddedSegments, Manifest};
 use crate::file::record::Element;
-use crate::file::segment::{SegmentName, SegmentWriter};
+use crate::file::segment::{Layout, OF_IMAGES, OF_MAP, SegmentName, SegmentWriter};
 use crate::model::MapMetadata;
 use protocol::MapIdentity;
 
 /// A segment is cut where its records have so many bytes: whoever reads a map has one in memory beside what it was read into.
 const SEGMENT_BYTES: usize = 16 << 20;
+/// The same of images: whoever wants one reads its segment.
+const IMAGE_SEGMENT_BYTES: usize = 1 << 20;
 
 /// Writes a valid map into a folder, see [`super::save_map`].
 ///
@@ -109,12 +111,21 @@ fn write_version(
     let frame = writer.take_segments()?;
     sorted.landmarks.iter().try_for_each(|landmark| writer.add(landmark.as_ref()))?;
     let landmarks = writer.take_segments()?;
+    let mut added_features = Vec::with_capacity(sorted.added_features.len());
+    for (kind, of_kind) in &sorted.added_features {
+        writer.digest.add_kind(kind);
+        of_kind.iter().try_for_each(|landmark| writer.add(landmark.as_ref()))?;
+        added_features.push(AddedSegments { kind: (*kind).clone(), landmarks: writer.take_segments()? });
+    }
+    writer.begin(OF_IMAGES, IMAGE_SEGMENT_BYTES);
+    sorted.images.iter().try_for_each(|image| writer.add(*image))?;
+    let images = writer.take_segments()?;
     let digest = writer.finish()?;
     sync_folder(map)?;
     let identity = identity.unwrap_or(digest);
     let sessions = contents.sessions_to_store();
     let info = MapMetadata { version, identity: Some(identity), sessions, ..contents.info.clone() };
-    let manifest = Manifest { map: info, digest, frame, landmarks };
+    let manifest = Manifest { map: info, digest, frame, landmarks, added_features, images };
     let file = map.join(MANIFEST);
     let written = manifest.encode().map_err(Into::into).and_then(|text| files::write_whole(&file, &text));
     written.map_err(|source| WriteProblem::File { file, source })?;
@@ -127,6 +138,9 @@ struct VersionWriter {
     file: File,
     /// The one that is being made.
     segment: SegmentWriter,
+    /// What they are segments of, and their size.
+    layout: &'static Layout,
+    most_bytes: usize,
     /// Those that were written.
     segments: Vec<SegmentName>,
     digest: RunningDigest,
@@ -143,20 +157,27 @@ impl VersionWriter {
         Ok(VersionWriter {
             path: path.to_owned(),
             file: created.map_err(|source| of_file(path, source))?,
-            segment: SegmentWriter::default(),
+            segment: SegmentWriter::new(OF_MAP),
+            layout: OF_MAP,
+            most_bytes: SEGMENT_BYTES,
             segments: Vec::new(),
             digest: RunningDigest::new(info),
         })
     }
 
+    /// Goes on with segments of another kind, after [`VersionWriter::take_segments`].
+    fn begin(&mut self, layout: &'static Layout, most_bytes: usize) {
+        (self.segment, self.layout, self.most_bytes) = (SegmentWriter::new(layout), layout, most_bytes);
+    }
+
     fn add<E: Element>(&mut self, element: &E) -> Result<(), WriteProblem> {
         let payload = self.segment.add(element).map_err(WriteProblem::Record)?;
         self.digest.add_record::<E>(element.key(), payload);
-        if self.segment.bytes() >= SEGMENT_BYTES { self.end_segment() } else { Ok(()) }
+        if self.segment.bytes() >= self.most_bytes { self.end_segment() } else { Ok(()) }
     }
 
     fn end_segment(&mut self) -> Result<(), WriteProblem> {
-        let bytes = std::mem::take(&mut self.segment).finish();
+        let bytes = std::mem::replace(&mut self.segment, SegmentWriter::new(self.layout)).finish();
         self.file.write_all(&bytes).map_err(|source| of_file(&self.path, source))?;
         self.segments.push(SegmentName::of(&bytes));
         Ok(())

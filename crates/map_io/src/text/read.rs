@@ -50,12 +50,12 @@ pub fn read_map(folder: &Path) -> Result<MapContents, MapFileError> {
     info.sessions = read_sessions(&folder.join(names::SESSIONS))?;
     read_features(folder, info.descriptor_kind, width, &mut keyframes)?;
     let mut contents = MapContents {
-        info,
         cross_covariances: read_cross_covariances(folder, &keyframes)?,
         common_errors: read_common_errors(folder, &keyframes)?,
         aliases: read_aliases(folder, &keyframes)?,
         keyframes: keyframes.into_values().collect(),
         landmarks: landmarks.into_values().collect(),
+        ..MapContents::empty(info)
     };
     contents.sort();
     contents.validate().map_err(|reason| MapFileError::Contents { path: folder.to_owned(), reason })?;

@@ -15,7 +15,8 @@ use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::session::{enter, last_keyframe};
 use crate::without_references::Builder;
 
-/// The map of both: what was stored with its ids, moved, and what is new with ids beyond them.
+/// The map of both: what was stored with its ids, moved, and what is new with ids beyond them. Features of added kinds were triangulated
+/// with the poses as they were, and not in the new keyframes: they are left out.
 pub(super) fn extended(
     stored: &MapContents,
     builder: &Builder<'_, '_>,
@@ -36,6 +37,7 @@ pub(super) fn extended(
     let mut contents = MapContents {
         keyframes: stored.keyframes.clone(),
         landmarks: stored.landmarks.clone(),
+        images: stored.images.clone(),
         ..MapContents::empty(stored.info.clone())
     };
     contents.ensure_sessions(&stored.info.name);

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use adjustment::LandmarkTie;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
+use map::KeptImage;
 use map::contents::MapContents;
 use map::model::Keyframe;
 use map::sessions::Session;
@@ -15,7 +16,8 @@ use super::{MergeError, MergeReport};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::session::last_keyframe;
 
-/// The map of both: the first one with its ids, moved, and the second one with ids beyond them.
+/// The map of both: the first one with its ids, moved, and the second one with ids beyond them. Features of added kinds were triangulated
+/// with the poses as they were: they are left out.
 ///
 /// # Arguments
 /// * `poses`: of the second map's keyframes, then of the first one's.
@@ -48,6 +50,11 @@ pub(super) fn merged(
         joint.of_keyframes(|view| StatedKeyframe::alone(id(view)));
     add_landmarks(&mut contents, second, poses, ties, last_keyframe, last_landmark);
     contents.keyframes = keyframes;
+    contents.images.clone_from(&first.images);
+    contents.images.extend(second.images.iter().map(|image| {
+        let keyframe = image.keyframe + last_keyframe;
+        KeptImage { keyframe, ..image.clone() }
+    }));
     contents.sort();
     contents.count_sessions();
     contents.validate()?;

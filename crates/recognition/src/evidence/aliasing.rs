@@ -64,15 +64,26 @@ impl LoadedMap {
         *self.aliasing.get_or_init(|| self.measure_aliasing())
     }
 
+    /// Measures the rates of all kinds of features that are not known yet, so that no query waits for it.
+    pub fn measure_aliasing_rates(&self) {
+        for map in self.kinds() {
+            map.aliasing_rate();
+        }
+    }
+
     /// Takes the rate of a former version of the map where this one does not state its own and has the same keyframes but for a
     /// few. Without effect once the rate is known.
     pub fn keep_aliasing_rate(&self, former: &LoadedMap) {
-        let kept = self.keyframes.iter().filter(|keyframe| former.index_of(keyframe.id).is_some()).count();
+        let kept =
+            self.poses.keyframes.iter().filter(|keyframe| former.index_of(keyframe.id).is_some()).count();
         let is_nearly_the_same = |of: &LoadedMap| {
-            (of.keyframes.len() - kept) as f64 <= RENEWED_KEYFRAMES * of.keyframes.len() as f64
+            (of.poses.keyframes.len() - kept) as f64 <= RENEWED_KEYFRAMES * of.poses.keyframes.len() as f64
         };
         if self.identity == former.identity && is_nearly_the_same(self) && is_nearly_the_same(former) {
-            let _ = former.aliasing.get().map(|rate| self.aliasing.set(*rate));
+            for map in self.kinds() {
+                let same_kind = former.kinds().find(|of| of.info.feature_kind() == map.info.feature_kind());
+                let _ = same_kind.and_then(|of| of.aliasing.get()).map(|rate| map.aliasing.set(*rate));
+            }
         }
     }
 
@@ -84,7 +95,7 @@ impl LoadedMap {
         stated.retain(|aliases| self.index_of(aliases.keyframe).is_some());
         let compared = stated.len();
         stated.retain(|aliases| !aliases.places.is_empty());
-        if compared > 0 && 2 * compared >= self.keyframes.len() {
+        if compared > 0 && 2 * compared >= self.poses.keyframes.len() {
             let is_aliased = |aliases: &&KeyframeAliases| likely_alias(aliases).is_some();
             let aliased = stated.iter().filter(is_aliased).count() as f64 / compared as f64;
             let views = self.disjoint_views();
@@ -105,7 +116,7 @@ impl LoadedMap {
         if observations == 0 {
             return 0.0;
         }
-        (self.landmark_count() * self.keyframes.len()) as f64 / observations as f64
+        (self.landmark_count() * self.poses.keyframes.len()) as f64 / observations as f64
     }
 
     fn measure_aliasing(&self) -> AliasingRate {
@@ -113,9 +124,9 @@ impl LoadedMap {
             return AliasingRate::default();
         }
         let options = alias_options();
-        let count = self.keyframes.len().min(SAMPLED_KEYFRAMES);
+        let count = self.poses.keyframes.len().min(SAMPLED_KEYFRAMES);
         let is_aliased = |sample: usize| {
-            let keyframe = sample * self.keyframes.len() / count;
+            let keyframe = sample * self.poses.keyframes.len() / count;
             let found = self.places_like(keyframe, &options).unwrap_or_default();
             found.iter().any(|place| place.log_odds >= options.min_log_odds)
         };
@@ -147,16 +158,16 @@ impl LoadedMap {
             },
             extractor: self.info.extractor.clone(),
         };
-        let global_from_camera = &self.keyframes[own].global_from_keyframe;
+        let global_from_camera = &self.poses.keyframes[own].global_from_keyframe;
         let gravity = self.info.gravity_in_global;
         let image = Image {
-            camera: &self.keyframes[own].camera,
+            camera: &self.poses.keyframes[own].camera,
             features: &features,
             descriptors: self.view(&features)?,
             gravity_in_camera: gravity
                 .map(|gravity| global_from_camera.pose.rotation.inverse_transform_vector(&gravity)),
         };
-        let mut sees_the_same = vec![false; self.keyframes.len()];
+        let mut sees_the_same = vec![false; self.poses.keyframes.len()];
         sees_the_same[own] = true;
         for &landmark in observed.landmarks {
             for &observer in self.landmarks.observers.of(landmark as usize) {
@@ -169,7 +180,7 @@ impl LoadedMap {
         let places = group_places(&mut verified, options);
         let hypotheses = self.hypotheses(&image, &verified, &places, 0.0);
         let alias = |(members, place): (&Vec<usize>, &Hypothesis)| Alias {
-            keyframe: self.keyframes[verified[members[0]].keyframe].id,
+            keyframe: self.poses.keyframes[verified[members[0]].keyframe].id,
             log_odds: place.log_odds(),
         };
         Ok(places.iter().zip(&hypotheses).map(alias).collect())

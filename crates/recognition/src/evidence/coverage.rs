@@ -130,7 +130,7 @@ fn distinct_inliers(
 ) -> Vec<(usize, Vector3<f64>)> {
     let mut inliers = Vec::new();
     for verified in place {
-        let global_from_keyframe = &map.keyframes[verified.keyframe].global_from_keyframe.pose;
+        let global_from_keyframe = &map.poses.keyframes[verified.keyframe].global_from_keyframe.pose;
         for (inlier, point) in verified.inliers.iter().zip(verified.inlier_points()) {
             let in_global = global_from_keyframe.transform(point);
             let pixel = Vector2::from(features.pixels[inlier.query].map(f64::from));

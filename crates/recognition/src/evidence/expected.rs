@@ -93,7 +93,7 @@ pub(super) fn expected_landmarks(
     let mut expected = Vec::new();
     let mut add = |keyframe: usize, camera_from_keyframe: &Pose, similarity: &Similarity| {
         let observed = map.observations.of(keyframe);
-        let keyframe_position = map.viewpoints[keyframe].position;
+        let keyframe_position = map.poses.viewpoints[keyframe].position;
         for at in 0..observed.landmarks.len() {
             let landmark = observed.landmark(at);
             if is_expected[landmark] {
@@ -116,8 +116,9 @@ pub(super) fn expected_landmarks(
         }
     };
     let camera_from_global = global_from_camera.inverse();
-    let camera_from =
-        |keyframe: usize| camera_from_global.compose(&map.keyframes[keyframe].global_from_keyframe.pose);
+    let camera_from = |keyframe: usize| {
+        camera_from_global.compose(&map.poses.keyframes[keyframe].global_from_keyframe.pose)
+    };
     for keyframe in similar_views(map, global_from_camera) {
         add(keyframe, &camera_from(keyframe), &SIMILAR);
     }
@@ -135,13 +136,13 @@ fn similar_views(map: &LoadedMap, global_from_camera: &Pose) -> Vec<usize> {
     let wanted = Viewpoint::of(global_from_camera);
     let scale = map.viewing_distance.max(f64::MIN_POSITIVE);
     let difference = |at: usize| {
-        let view = &map.viewpoints[at];
+        let view = &map.poses.viewpoints[at];
         let cosine = view.axis.dot(&wanted.axis);
         let distance = (view.position - wanted.position).norm() / scale;
         let is_similar = cosine >= LEAST_AXIS_COSINE && distance <= VIEW_RADIUS;
         is_similar.then(|| ((3.0 * distance).powi(2) + (cosine.min(1.0).acos() / VIEW_ANGLE).powi(2), at))
     };
-    let mut views: Vec<(f64, usize)> = (0..map.viewpoints.len()).filter_map(difference).collect();
+    let mut views: Vec<(f64, usize)> = (0..map.poses.viewpoints.len()).filter_map(difference).collect();
     let order = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
     if views.len() > MAX_VIEWS {
         views.select_nth_unstable_by(MAX_VIEWS, order);

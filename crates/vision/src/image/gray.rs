@@ -289,6 +289,22 @@ impl GrayImage {
         Ok(png.into_inner())
     }
 
+    /// Encodes the image as a JPEG file in memory.
+    ///
+    /// # Arguments
+    /// * `quality`: 1 (smallest file) to 100 (least loss).
+    ///
+    /// # Errors
+    /// [`ImageError::Encoding`]: more than 65,535 columns or rows.
+    pub fn to_jpeg(&self, quality: u8) -> Result<Vec<u8>, ImageError> {
+        let (width, height) = (self.width as u32, self.height as u32);
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, quality)
+            .encode(&self.pixels, width, height, image::ExtendedColorType::L8)
+            .map_err(ImageError::Encoding)?;
+        Ok(jpeg)
+    }
+
     /// Columns.
     pub fn width(&self) -> usize {
         self.width

@@ -3,12 +3,14 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use super::envelope::HEADER_BYTES;
 use super::error::RecordError;
 use super::layout::{
-    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, KeyframeRecord, LandmarkRecord,
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, ImageRecord, KeyframeRecord, LandmarkRecord,
 };
 use super::table::Table;
-use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
+use crate::added::KeptImage;
+use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation};
 
 /// An element of a map, which is stored as one record.
 pub trait Element: Sized {
@@ -52,6 +54,18 @@ impl Element for Keyframe {
 
     fn from_record([id]: [u64; 1], record: KeyframeRecord) -> Result<Self, RecordError> {
         record.into_keyframe(id)
+    }
+}
+
+impl Landmark {
+    /// Bytes that it takes on disk: its record with the key and the length.
+    pub fn bytes_on_disk(&self) -> u64 {
+        const KEY_AND_LENGTH: usize = 12;
+        const ANCHOR_POSITION_AND_COUNT: usize = 40;
+        const KEYFRAME_PIXEL_AND_LENGTH: usize = 24;
+        let of_observation = |seen: &Observation| KEYFRAME_PIXEL_AND_LENGTH + seen.descriptor.len();
+        let observations: usize = self.observations.iter().map(of_observation).sum();
+        (KEY_AND_LENGTH + HEADER_BYTES + ANCHOR_POSITION_AND_COUNT + observations) as u64
     }
 }
 
@@ -126,5 +140,23 @@ impl Element for KeyframeAliases {
 
     fn from_record([keyframe]: [u64; 1], record: AliasesRecord) -> Result<Self, RecordError> {
         Ok(record.into_aliases(keyframe))
+    }
+}
+
+impl Element for KeptImage {
+    const TABLE: Table = Table::Images;
+    type Key = [u64; 1];
+    type Record = ImageRecord;
+
+    fn key(&self) -> [u64; 1] {
+        [self.keyframe]
+    }
+
+    fn to_record(&self) -> ImageRecord {
+        ImageRecord::new(self)
+    }
+
+    fn from_record([keyframe]: [u64; 1], record: ImageRecord) -> Result<Self, RecordError> {
+        Ok(record.into_image(keyframe))
     }
 }

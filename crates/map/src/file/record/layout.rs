@@ -10,6 +10,7 @@ use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId};
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
+use crate::added::KeptImage;
 use crate::model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
 };
@@ -276,6 +277,22 @@ impl AliasesRecord {
     pub(super) fn into_aliases(self, keyframe: KeyframeId) -> KeyframeAliases {
         let places = self.0.into_iter().map(|(keyframe, log_odds)| Alias { keyframe, log_odds }).collect();
         KeyframeAliases { keyframe, places }
+    }
+}
+
+/// [`KeptImage`] on disk; the keyframe is the key.
+#[derive(Serialize, Deserialize)]
+pub struct ImageRecord(#[serde(with = "serde_bytes")] Vec<u8>);
+
+impl ImageRecord {
+    /// The record of an image.
+    pub(super) fn new(image: &KeptImage) -> ImageRecord {
+        ImageRecord(image.jpeg.clone())
+    }
+
+    /// The image that the record holds; the keyframe is the key.
+    pub(super) fn into_image(self, keyframe: KeyframeId) -> KeptImage {
+        KeptImage { keyframe, jpeg: self.0 }
     }
 }
 

@@ -13,6 +13,8 @@ pub enum Table {
     CommonErrors,
     /// Places that keyframes could be taken for, by keyframe.
     Aliases,
+    /// Images of keyframes, by keyframe.
+    Images,
 }
 
 impl Table {
@@ -24,6 +26,7 @@ impl Table {
             Table::CrossCovariances => "cross_covariances",
             Table::CommonErrors => "common_errors",
             Table::Aliases => "aliases",
+            Table::Images => "images",
         }
     }
 
@@ -36,6 +39,7 @@ impl Table {
             Table::CrossCovariances => format!("the cross-covariance of keyframes {ids}"),
             Table::CommonErrors => format!("the common error of keyframe {ids}"),
             Table::Aliases => format!("the aliases of keyframe {ids}"),
+            Table::Images => format!("the image of keyframe {ids}"),
         }
     }
 }

@@ -1,0 +1,91 @@
+//! Several kinds of features in one map, with the programs: images are kept, features are added, robots with either kind are localized.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn driftless(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_driftless")).args(arguments).output().unwrap()
+}
+
+fn json_of(arguments: &[&str]) -> Value {
+    let output = driftless(&[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn complaint_of(arguments: &[&str]) -> String {
+    let output = driftless(arguments);
+    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_localized() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (room, both, plain) = (path("room"), path("both.db"), path("plain.db"));
+    json_of(&["simulate", "--images", "--duration", "6", "--out", text(&room)]);
+    let recording = room.join("map");
+    let few = ["--max-features", "400"];
+    let map = ["build-map", text(&recording), "--map", text(&both), "--keep-images=85"];
+    let sparse = ["--min-distance", "0.4", "--min-rotation", "15"];
+    let built = json_of(&[&map[..], &sparse, &few].concat());
+    let info = |map: &Path| json_of(&["map-info", "--map", text(map)]);
+    let before = info(&both);
+    let keyframes = before["keyframes"].as_u64().unwrap();
+    assert_eq!(before["images"]["count"].as_u64().unwrap(), keyframes);
+    assert_eq!(built["report"]["kept_images"]["images"].as_u64().unwrap(), keyframes);
+    assert_eq!(before["feature_kinds"].as_array().unwrap().len(), 1);
+
+    // Nothing of it without images, or where the features are there.
+    json_of(&["edit-map", "--map", text(&both), "--to", text(&plain), "--drop-images"]);
+    let without = info(&plain);
+    assert_eq!((&without["schema"], &without["images"]["count"]), (&map::STORE_SCHEMA.into(), &0.into()));
+    let refused = complaint_of(&["add-features", text(&plain), "--features", "edgepoint2"]);
+    assert!(refused.contains("--keep-images"), "{refused}");
+    let refused = complaint_of(&["add-features", text(&both), "--features", "sift-1"]);
+    assert!(refused.contains("nothing to add"), "{refused}");
+
+    let added = json_of(&[&["add-features", text(&both), "--features", "edgepoint2"], &few[..]].concat());
+    println!("{added:#}");
+    assert_eq!(added["version"], 2);
+    let after = info(&both);
+    println!("{after:#}");
+    let kinds = after["feature_kinds"].as_array().unwrap();
+    assert_eq!((&kinds[0]["extractor"], &kinds[1]["extractor"]), (&"sift-1".into(), &"edgepoint2-1".into()));
+    assert_eq!((&kinds[0], &after["sigma_p_m"]), (&before["feature_kinds"][0], &before["sigma_p_m"]));
+    assert!(kinds[1]["landmarks"].as_u64().unwrap() > 200, "{after:#}");
+    let refused = complaint_of(&["add-features", text(&both), "--features", "edgepoint2"]);
+    assert!(refused.contains("--force"), "{refused}");
+
+    let live = room.join("live");
+    for extractor in ["sift-1", "edgepoint2-1"] {
+        let out = path(extractor);
+        let robot = json_of(&[
+            "run",
+            text(&live),
+            "--map",
+            text(&both),
+            "--extractor",
+            extractor,
+            "--out",
+            text(&out),
+        ]);
+        println!("{extractor}: {robot:#}");
+        let pose = &robot["score"]["pose"];
+        let number = |key: &str| pose[key].as_f64().unwrap_or_else(|| panic!("{key}: {robot:#}"));
+        assert!(number("rmse_m") < 0.05 && number("nees_pose") < 3.0, "{robot:#}");
+    }
+
+    // What takes them out leaves the map as it was before.
+    json_of(&["edit-map", "--map", text(&both), "--drop-images", "--drop-features", "edgepoint2-1"]);
+    let left = info(&both);
+    assert_eq!((&left["schema"], &left["images"]["count"]), (&map::STORE_SCHEMA.into(), &0.into()));
+    assert_eq!(left["feature_kinds"], before["feature_kinds"]);
+}
