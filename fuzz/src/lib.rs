@@ -10,6 +10,7 @@ mod images;
 mod messages;
 mod records;
 mod sensor_messages;
+mod sessions;
 mod weights;
 
 pub use bags::sqlite_bags;
@@ -19,6 +20,7 @@ pub use images::images;
 pub use messages::{bincode_payloads, protocol_bincode, protocol_json};
 pub use records::store_records;
 pub use sensor_messages::{ros_messages, sensor_messages};
+pub use sessions::session_files;
 pub use weights::weights;
 
 /// A fuzz target.
@@ -36,5 +38,6 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("store_records", store_records),
     ("sensor_messages", sensor_messages),
     ("ros_messages", ros_messages),
+    ("session_files", session_files),
     ("weights", weights),
 ];

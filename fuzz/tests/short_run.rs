@@ -2,6 +2,10 @@
 //! for `FUZZ_SECONDS` each.
 #![allow(clippy::unwrap_used)]
 
+#[allow(dead_code)]
+#[path = "../../crates/hand_in/tests/example_session.rs"]
+mod example_session;
+
 use bags::{BagWriter, Format, MessageType, OfferedQos};
 use driftless_fuzz::{TARGETS, bincode_payloads};
 use map::file::SegmentWriter;
@@ -68,7 +72,7 @@ macro_rules! targets {
 
 targets! {
     protocol_bincode, protocol_json, sensor_yaml, csv_tables, images, sqlite_bags, http_heads, store_records, sensor_messages,
-    ros_messages, weights,
+    ros_messages, session_files, weights,
 }
 
 #[test]
@@ -90,6 +94,7 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
         }),
         "images" => pictures(),
         "sqlite_bags" => recordings(),
+        "session_files" => vec![session()],
         "weights" => vec![tensors()],
         other => files(&root.join("corpus").join(other)),
     }
@@ -130,6 +135,14 @@ fn recordings() -> Vec<Vec<u8>> {
     }
     writer.finish().unwrap();
     of_kind(&recorded, |path| path.extension().is_some_and(|end| end == "db3"))
+}
+
+/// A session file of two chunks.
+fn session() -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.session");
+    example_session::write(&path, 2);
+    std::fs::read(&path).unwrap()
 }
 
 fn files(folder: &Path) -> Vec<Vec<u8>> {
