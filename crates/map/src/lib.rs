@@ -6,7 +6,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`model`] | keyframes, landmarks, observations, cross-covariances, common errors |
+//! | [`model`] | keyframes, landmarks, observations, cross-covariances, common errors, existence |
 //! | `added` | further kinds of features, images of keyframes |
 //! | [`contents`] | a whole map in memory and its invariants |
 //! | [`file`](mod@file) | the bytes of a map: records, segments, manifest |
@@ -29,7 +29,7 @@ pub use added::{AddedFeatures, FeatureKind, KeptImage};
 pub use contents::{ContentsError, MapContents};
 pub use file::record::RecordError;
 pub use model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
-    Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+    MapMetadata, Observation,
 };
 pub use store::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -122,6 +122,21 @@ pub struct Observation {
     pub descriptor: Vec<u8>,
 }
 
+/// Whether a landmark is still there, by the sessions that passed it.
+///
+/// Landmarks without one were never expected by a session since they entered the map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LandmarkExistence {
+    /// Which landmark.
+    pub landmark: LandmarkId,
+    /// Natural logarithm of the odds that it is there, at `stamp_ns`.
+    pub log_odds: f64,
+    /// Time of the last session that saw or missed it (ns).
+    pub stamp_ns: i64,
+    /// Time at which it was seen last (ns).
+    pub seen_ns: i64,
+}
+
 /// Covariance between the pose errors of two keyframes, beyond what both have in [`CommonError`]s; zero for pairs that a map
 /// does not list.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

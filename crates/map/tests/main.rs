@@ -8,6 +8,7 @@ mod crossing;
 mod damage;
 mod difference;
 mod edit;
+mod existence;
 mod formats;
 mod hostile;
 #[cfg(unix)]

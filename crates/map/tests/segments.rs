@@ -6,7 +6,7 @@ use map::MapContents;
 use map::file::record::Element;
 use map::file::{Segment, SegmentError, SegmentName, SegmentWriter};
 use proptest::prelude::*;
-use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
+use testing::{Place, PlaceOptions, add_aliases, add_common_errors, add_existence};
 
 fn place(common: bool, aliases: bool) -> MapContents {
     let options = PlaceOptions { keyframes: 6, landmarks: 80, ..PlaceOptions::default() };
@@ -29,6 +29,7 @@ fn encoded(segment: &Segment) -> Vec<u8> {
     }
     let mut writer = SegmentWriter::default();
     // The order of the lists in a segment does not depend on that in which they were written.
+    add(&mut writer, &segment.existence);
     add(&mut writer, &segment.aliases);
     add(&mut writer, &segment.landmarks);
     add(&mut writer, &segment.keyframes);
@@ -38,8 +39,8 @@ fn encoded(segment: &Segment) -> Vec<u8> {
 }
 
 fn segment(map: MapContents) -> Segment {
-    let MapContents { keyframes, landmarks, cross_covariances, common_errors, aliases, .. } = map;
-    Segment { keyframes, landmarks, cross_covariances, common_errors, aliases }
+    let MapContents { keyframes, landmarks, cross_covariances, common_errors, aliases, existence, .. } = map;
+    Segment { keyframes, landmarks, cross_covariances, common_errors, aliases, existence }
 }
 
 /// By whether they have common errors, and aliases.
@@ -56,6 +57,23 @@ fn what_is_written_is_read_back_and_written_again_the_same() {
         assert_eq!(SegmentName::of(&encoded(&read)), SegmentName::of(bytes));
     }
     assert_eq!(Segment::decode(&SegmentWriter::default().finish()).unwrap(), Segment::default());
+}
+
+#[test]
+fn the_last_list_is_written_where_there_is_something_in_it() {
+    let mut map = place(false, true);
+    let without = encoded(&segment(map.clone()));
+    assert!(without.starts_with(b"driftless segment 4\n"));
+    add_existence(&mut map);
+    let with = encoded(&segment(map.clone()));
+    assert!(with.starts_with(b"driftless segment 5\n"));
+    assert_eq!(Segment::decode(&with).unwrap(), segment(map));
+    // Neither is taken for the other.
+    let [mut as_5, mut as_4] = [without, with];
+    as_5[b"driftless segment ".len()] = b'5';
+    as_4[b"driftless segment ".len()] = b'4';
+    assert!(matches!(Segment::decode(&as_5), Err(SegmentError::CutOff { .. })));
+    assert!(matches!(Segment::decode(&as_4), Err(SegmentError::TooLong { .. })));
 }
 
 #[test]

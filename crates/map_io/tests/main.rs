@@ -3,3 +3,4 @@
 
 mod aliases;
 mod colmap;
+mod existence;

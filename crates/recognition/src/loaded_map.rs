@@ -90,6 +90,8 @@ impl LoadedMap {
     /// As [`LoadedMap::read`].
     pub fn load(stored: StoredMap, mut landmarks: StoredLandmarks) -> Result<LoadedMap, LoadError> {
         let mut contents = stored.contents;
+        // Of use to who changes a map only.
+        contents.existence = Vec::new();
         contents.validate()?;
         // A stored map has one.
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
@@ -136,6 +138,7 @@ impl LoadedMap {
         aliases: &[KeyframeAliases],
     ) -> Result<LoadedMap, LoadError> {
         contents.validate()?;
+        contents.existence = Vec::new();
         contents.aliases.extend_from_slice(aliases);
         contents.cross_covariances.extend(far_cross_covariances);
         contents.sort();

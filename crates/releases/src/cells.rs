@@ -1,7 +1,7 @@
 //! A map cut into cells, and put together again.
 //!
 //! Everything is in exactly one cell: a keyframe in that of its position with its common error and its aliases, a landmark in that of its
-//! anchor, a cross-covariance in that of its first keyframe. So nothing is sent twice, and nothing is lost.
+//! anchor with what is known of its existence, a cross-covariance in that of its first keyframe. So nothing is sent twice, and nothing is lost.
 //!
 //! Beside it a cell has a *border*, what an answer of this cell needs of others: the landmarks that its keyframes observe, the
 //! keyframes that observe one of these, and the cross-covariances of its own keyframes and of those of the border with all
@@ -11,10 +11,10 @@ use crate::partition::{CellId, Partition};
 use map::difference::Compared;
 use map::file::{Segment, SegmentWriter};
 use map::{
-    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata,
-    RecordError,
+    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+    MapContents, MapMetadata, RecordError,
 };
-use protocol::KeyframeId;
+use protocol::{KeyframeId, LandmarkId};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -27,6 +27,7 @@ pub(crate) struct CellView<'a> {
     pub(crate) cross_covariances: Vec<&'a KeyframeCrossCovariance>,
     pub(crate) common_errors: Vec<&'a CommonError>,
     pub(crate) aliases: Vec<&'a KeyframeAliases>,
+    pub(crate) existence: Vec<&'a LandmarkExistence>,
 }
 
 impl<'a> CellView<'a> {
@@ -46,6 +47,7 @@ impl<'a> CellView<'a> {
         self.cross_covariances.iter().try_for_each(|cross| segment.add(*cross).map(drop))?;
         self.common_errors.iter().try_for_each(|common| segment.add(*common).map(drop))?;
         self.aliases.iter().try_for_each(|aliases| segment.add(*aliases).map(drop))?;
+        self.existence.iter().try_for_each(|existence| segment.add(*existence).map(drop))?;
         Ok(segment.finish())
     }
 }
@@ -114,8 +116,13 @@ fn add_landmarks<'a>(
     cells: &mut BTreeMap<CellId, BorderedCell<'a>>,
 ) -> BTreeMap<KeyframeId, BTreeSet<CellId>> {
     let mut borders: BTreeMap<KeyframeId, BTreeSet<CellId>> = BTreeMap::new();
+    let existence: BTreeMap<LandmarkId, &LandmarkExistence> =
+        contents.existence.iter().map(|existence| (existence.landmark, existence)).collect();
     for landmark in &contents.landmarks {
         let Some(home) = cell_of.get(&landmark.anchor) else { continue };
+        if let Some(of_landmark) = existence.get(&landmark.id) {
+            cells.entry(*home).or_default().own.existence.push(of_landmark);
+        }
         let observers = || landmark.observations.iter().map(|observation| observation.keyframe);
         let observing: BTreeSet<CellId> = observers().filter_map(|id| cell_of.get(&id).copied()).collect();
         for cell in &observing {
@@ -152,6 +159,7 @@ pub(crate) fn join(info: MapMetadata, cells: impl IntoIterator<Item = Segment>) 
         contents.cross_covariances.extend(cell.cross_covariances);
         contents.common_errors.extend(cell.common_errors);
         contents.aliases.extend(cell.aliases);
+        contents.existence.extend(cell.existence);
     }
     contents.sort();
     contents

@@ -83,6 +83,8 @@ pub async fn fetch_cell(
     let (near, far_cross_covariances) = contents.cross_covariances.into_iter().partition(is_near);
     contents.cross_covariances = near;
     let aliases = std::mem::take(&mut contents.aliases);
+    // Of use to who changes the map as a whole only.
+    contents.existence = Vec::new();
     contents.validate()?;
     Ok(Cell { own, contents, far_cross_covariances, aliases })
 }

@@ -9,7 +9,7 @@ use releases::{
 };
 use std::collections::{BTreeMap, BTreeSet};
 use tempfile::TempDir;
-use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
+use testing::{Place, PlaceOptions, add_aliases, add_common_errors, add_existence};
 
 /// A map in which every keyframe is correlated with many others, as after a bundle adjustment.
 fn place(seed: u64) -> MapContents {
@@ -61,6 +61,9 @@ async fn a_cell_has_all_that_the_map_has_about_its_keyframes_and_those_of_its_bo
         }
         if seed > 2 {
             add_aliases(&mut contents);
+        }
+        if seed > 1 {
+            add_existence(&mut contents);
         }
         let release = published(&store, &contents, keyframes_a_cell).await;
         assert_eq!(fetch(&store, &release, None).await.unwrap(), contents);

@@ -11,7 +11,7 @@ use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
 use map::{
     AddedFeatures, Alias, CommonError, FeatureKind, KeptImage, Keyframe, KeyframeAliases,
-    KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation,
+    KeyframeCrossCovariance, Landmark, LandmarkExistence, MapContents, MapMetadata, Observation,
 };
 use nalgebra::{Matrix6xX, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
@@ -87,6 +87,19 @@ pub fn add_images(map: &mut MapContents) {
         KeptImage { keyframe: keyframe.id, jpeg: [0xff, 0xd8].into_iter().chain(noise).collect() }
     };
     map.images = map.keyframes.iter().skip(1).map(image).collect();
+}
+
+/// States the existence of every third landmark of a place.
+pub fn add_existence(map: &mut MapContents) {
+    map.sort();
+    let existence = |(at, landmark): (usize, &Landmark)| LandmarkExistence {
+        landmark: landmark.id,
+        log_odds: 4.0 - 0.25 * (at % 20) as f64,
+        stamp_ns: 1_700_000_000_000_000_000 + at as i64,
+        seen_ns: 1_600_000_000_000_000_000 + at as i64,
+    };
+    map.existence = map.landmarks.iter().enumerate().step_by(3).map(existence).collect();
+    map.info.identity = Some(map.digest());
 }
 
 /// Landmarks of a poster, see [`PlaceOptions::posters`].

@@ -20,6 +20,7 @@ impl MapContents {
         sorted.cross_covariances.iter().for_each(|cross| digest.add(cross.as_ref()));
         sorted.common_errors.iter().for_each(|common| digest.add(*common));
         sorted.aliases.iter().for_each(|aliases| digest.add(*aliases));
+        sorted.existence.iter().for_each(|existence| digest.add(*existence));
         sorted.landmarks.iter().for_each(|landmark| digest.add(landmark.as_ref()));
         for (kind, landmarks) in &sorted.added_features {
             digest.add_kind(kind);
@@ -32,8 +33,8 @@ impl MapContents {
     }
 }
 
-/// A digest of what is added: all keyframes, all cross-covariances, all common errors, all aliases, all landmarks, each in the
-/// order of their keys, then each added kind of features with its landmarks, then all images.
+/// A digest of what is added: all keyframes, all cross-covariances, all common errors, all aliases, what is known of landmarks' existence,
+/// all landmarks, each in the order of their keys, then each added kind of features with its landmarks, then all images.
 pub(crate) struct RunningDigest(Sha256);
 
 impl RunningDigest {

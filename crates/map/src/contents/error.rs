@@ -74,6 +74,14 @@ pub enum ContentsError {
         /// What is wrong with them.
         problem: AliasProblem,
     },
+    /// What is known of a landmark's existence is impossible.
+    #[error("existence of landmark {landmark}: {problem}")]
+    Existence {
+        /// Which landmark.
+        landmark: LandmarkId,
+        /// What is wrong with it.
+        problem: ExistenceProblem,
+    },
 }
 
 /// What can be wrong with [`crate::MapMetadata`].
@@ -315,4 +323,22 @@ pub enum ImageProblem {
     /// The bytes are no JPEG file.
     #[error("it is not a JPEG file")]
     NotJpeg,
+}
+
+/// What can be wrong with [`crate::LandmarkExistence`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExistenceProblem {
+    /// The landmark has more than one.
+    #[error("the landmark occurs twice")]
+    Duplicate,
+    /// The landmark is missing.
+    #[error("the landmark is not in the map")]
+    UnknownLandmark,
+    /// The log-odds are no number.
+    #[error("the log-odds are {log_odds}")]
+    LogOdds {
+        /// Their value.
+        log_odds: f64,
+    },
 }

@@ -11,13 +11,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use geometry::Pose;
 use nalgebra::Vector3;
-use protocol::KeyframeId;
+use protocol::{KeyframeId, LandmarkId};
 
 pub use added_validation::validate_added_landmark;
 pub(crate) use digest::RunningDigest;
 pub use error::{
     AddedFeaturesProblem, AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem,
-    ImageProblem, KeyframeProblem, LandmarkProblem, MetadataProblem,
+    ExistenceProblem, ImageProblem, KeyframeProblem, LandmarkProblem, MetadataProblem,
 };
 pub use observation_counts::ObservationCounts;
 pub(crate) use sorted::Sorted;
@@ -25,7 +25,9 @@ pub use validation::validate_landmark;
 
 use crate::added::{AddedFeatures, FeatureKind, KeptImage};
 use crate::file::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA};
-use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};
+use crate::model::{
+    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence, MapMetadata,
+};
 
 /// A map in memory: what import, export and map building work on.
 ///
@@ -59,6 +61,8 @@ pub struct MapContents {
     pub added_features: Vec<AddedFeatures>,
     /// Images of keyframes, by keyframe; of those without one, none was kept.
     pub images: Vec<KeptImage>,
+    /// Whether landmarks are still there, by landmark; those without an entry were never expected since they entered the map.
+    pub existence: Vec<LandmarkExistence>,
 }
 
 impl MapContents {
@@ -73,6 +77,7 @@ impl MapContents {
             aliases: Vec::new(),
             added_features: Vec::new(),
             images: Vec::new(),
+            existence: Vec::new(),
         }
     }
 
@@ -121,6 +126,7 @@ impl MapContents {
         self.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
         self.common_errors.sort_by_key(|common| common.keyframe);
         self.aliases.sort_by_key(|aliases| aliases.keyframe);
+        self.existence.sort_by_key(|existence| existence.landmark);
         self.images.sort_by_key(|image| image.keyframe);
     }
 
@@ -131,7 +137,7 @@ impl MapContents {
     }
 
     /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances, common errors, aliases and
-    /// images of missing keyframes.
+    /// images of missing keyframes, and the existence of missing landmarks.
     pub(crate) fn drop_dangling(&mut self) {
         let keyframes: BTreeSet<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
         for landmarks in self.landmarks_of_kinds_mut() {
@@ -147,6 +153,13 @@ impl MapContents {
         for aliases in &mut self.aliases {
             aliases.places.retain(|place| keyframes.contains(&place.keyframe));
         }
+        self.drop_existence_of_others();
+    }
+
+    /// Removes the existence of landmarks that the map does not have.
+    pub fn drop_existence_of_others(&mut self) {
+        let landmarks: BTreeSet<LandmarkId> = self.landmarks.iter().map(|landmark| landmark.id).collect();
+        self.existence.retain(|existence| landmarks.contains(&existence.landmark));
     }
 
     /// Number of observations over all landmarks of the primary kind.

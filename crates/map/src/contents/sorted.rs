@@ -4,7 +4,9 @@ use std::borrow::Cow;
 
 use super::MapContents;
 use crate::added::{FeatureKind, KeptImage};
-use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
+use crate::model::{
+    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+};
 
 /// What [`MapContents::sort`] would make of a map: everything by its key, observations by keyframe, `a < b`.
 pub(crate) struct Sorted<'a> {
@@ -16,6 +18,7 @@ pub(crate) struct Sorted<'a> {
     /// The added kinds with their landmarks.
     pub(crate) added_features: Vec<(&'a FeatureKind, Vec<Cow<'a, Landmark>>)>,
     pub(crate) images: Vec<&'a KeptImage>,
+    pub(crate) existence: Vec<&'a LandmarkExistence>,
 }
 
 impl<'a> Sorted<'a> {
@@ -32,12 +35,14 @@ impl<'a> Sorted<'a> {
                 .map(|added| (&added.kind, sorted_landmarks(&added.landmarks)))
                 .collect(),
             images: contents.images.iter().collect(),
+            existence: contents.existence.iter().collect(),
         };
         sorted.keyframes.sort_by_key(|keyframe| keyframe.id);
         sorted.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
         sorted.common_errors.sort_by_key(|common| common.keyframe);
         sorted.aliases.sort_by_key(|aliases| aliases.keyframe);
         sorted.images.sort_by_key(|image| image.keyframe);
+        sorted.existence.sort_by_key(|existence| existence.landmark);
         sorted
     }
 }

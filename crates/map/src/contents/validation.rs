@@ -5,16 +5,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use geometry::covariance_check::{check_covariance, check_difference};
 use geometry::is_coordinate;
 use nalgebra::{Matrix6, SMatrix};
-use protocol::{DescriptorKind, KeyframeId, MAX_EXTRACTOR_BYTES};
+use protocol::{DescriptorKind, KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
 
 use super::error::{
-    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem,
-    LandmarkProblem, MetadataProblem,
+    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, ExistenceProblem,
+    KeyframeProblem, LandmarkProblem, MetadataProblem,
 };
 use crate::contents::MapContents;
 use crate::model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
-    Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+    MapMetadata, Observation,
 };
 use crate::sessions::check_ledger;
 
@@ -29,13 +29,13 @@ impl MapContents {
     /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
     /// keyframe, what its common error leaves of it, and of each pair with a cross-covariance) are symmetric and positive
-    /// semi-definite, each landmark is observed by its anchor, aliases are of other keyframes and have finite log-odds, every keyframe has
-    /// one session, unless the map has no ledger of its sessions, added kinds of features have extractors and ids of their own, and images
+    /// semi-definite, each landmark is observed by its anchor, aliases are of other keyframes and have finite log-odds, existence is of
+    /// landmarks of the map and has finite log-odds, every keyframe has one session, unless the map has no ledger of its sessions, added kinds of features have extractors and ids of their own, and images
     /// are of keyframes.
     ///
     /// # Errors
-    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances, aliases, added features,
-    /// images.
+    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances, aliases, existence,
+    /// added features, images.
     pub fn validate(&self) -> Result<(), ContentsError> {
         check_metadata(&self.info)?;
         check_ledger(&self.info, &self.keyframes).map_err(|problem| ContentsError::Metadata {
@@ -64,8 +64,25 @@ impl MapContents {
                 .map_err(|problem| ContentsError::CrossCovariance { a: cross.a, b: cross.b, problem })?;
         }
         self.check_aliases(&keyframes)?;
+        self.check_existence()?;
         self.check_added_features(|id| keyframes.get(&id).copied())?;
         self.check_images(|id| keyframes.contains_key(&id))
+    }
+
+    fn check_existence(&self) -> Result<(), ContentsError> {
+        if self.existence.is_empty() {
+            return Ok(());
+        }
+        let mut unchecked: BTreeSet<LandmarkId> = self.landmarks.iter().map(|landmark| landmark.id).collect();
+        let mut checked = BTreeSet::new();
+        for &LandmarkExistence { landmark, log_odds, .. } in &self.existence {
+            let first = checked.insert(landmark);
+            ensure(first, ExistenceProblem::Duplicate)
+                .and_then(|()| ensure(unchecked.remove(&landmark), ExistenceProblem::UnknownLandmark))
+                .and_then(|()| ensure(log_odds.is_finite(), ExistenceProblem::LogOdds { log_odds }))
+                .map_err(|problem| ContentsError::Existence { landmark, problem })?;
+        }
+        Ok(())
     }
 
     fn check_aliases(&self, keyframes: &Keyframes<'_>) -> Result<(), ContentsError> {

@@ -77,4 +77,5 @@ pub fn retain_landmarks(contents: &mut MapContents, holds: impl Fn(&Vector3<f64>
     for landmarks in contents.landmarks_of_kinds_mut() {
         landmarks.retain(|landmark| holds(&position(landmark)));
     }
+    contents.drop_existence_of_others();
 }

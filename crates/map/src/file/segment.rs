@@ -1,8 +1,8 @@
 //! Segments: many records in one piece of bytes, which never changes.
 //!
 //! ```text
-//! "driftless segment 4\n"
-//! for keyframes, landmarks, cross-covariances, common errors, aliases:
+//! "driftless segment 4\n", or with a list of existence "driftless segment 5\n"
+//! for keyframes, landmarks, cross-covariances, common errors, aliases, existence:
 //!     number of records u64 LE
 //!     for each, ascending: key (8 bytes, of a pair 16, big-endian) | length u32 LE | record
 //! ```
@@ -14,7 +14,9 @@ use sha2::{Digest as _, Sha256};
 
 use super::list::{List, Reader};
 use super::record::{Element, RecordError, Table};
-use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark};
+use crate::model::{
+    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+};
 
 /// How a segment begins, and its lists in their order.
 pub(crate) struct Layout {
@@ -34,6 +36,19 @@ pub(crate) const OF_MAP: &Layout = &Layout {
     ],
 };
 
+/// Of a part of a map with a list of existence that is not empty. What has none has the bytes that it always had.
+const OF_MAP_WITH_EXISTENCE: &Layout = &Layout {
+    magic: b"driftless segment 5\n",
+    tables: &[
+        Table::Keyframes,
+        Table::Landmarks,
+        Table::CrossCovariances,
+        Table::CommonErrors,
+        Table::Aliases,
+        Table::Existence,
+    ],
+};
+
 /// Of images of keyframes.
 pub(crate) const OF_IMAGES: &Layout = &Layout { magic: b"driftless images 1\n", tables: &[Table::Images] };
 
@@ -50,6 +65,8 @@ pub struct Segment {
     pub common_errors: Vec<CommonError>,
     /// By keyframe.
     pub aliases: Vec<KeyframeAliases>,
+    /// By landmark.
+    pub existence: Vec<LandmarkExistence>,
 }
 
 /// The name of a segment.
@@ -142,7 +159,7 @@ pub struct SegmentWriter {
 
 impl Default for SegmentWriter {
     fn default() -> Self {
-        SegmentWriter::new(OF_MAP)
+        SegmentWriter::new(OF_MAP_WITH_EXISTENCE)
     }
 }
 
@@ -179,7 +196,12 @@ impl SegmentWriter {
     }
 
     /// The segment.
-    pub fn finish(self) -> Vec<u8> {
+    pub fn finish(mut self) -> Vec<u8> {
+        let is_without = self.lists.last().is_some_and(|existence| existence.count == 0);
+        if is_without && self.layout.tables.last() == Some(&Table::Existence) {
+            self.layout = OF_MAP;
+            self.lists.pop();
+        }
         let Layout { magic, tables } = self.layout;
         let mut bytes = Vec::with_capacity(magic.len() + 8 * tables.len() + self.bytes());
         bytes.extend(*magic);
@@ -197,13 +219,16 @@ impl Segment {
     /// # Errors
     /// [`SegmentError`].
     pub fn decode(bytes: &[u8]) -> Result<Segment, SegmentError> {
-        let mut reader = Reader::new(bytes, OF_MAP.magic)?;
+        let has_existence = bytes.starts_with(OF_MAP_WITH_EXISTENCE.magic);
+        let layout = if has_existence { OF_MAP_WITH_EXISTENCE } else { OF_MAP };
+        let mut reader = Reader::new(bytes, layout.magic)?;
         let segment = Segment {
             keyframes: reader.elements()?,
             landmarks: reader.elements()?,
             cross_covariances: reader.elements()?,
             common_errors: reader.elements()?,
             aliases: reader.elements()?,
+            existence: if has_existence { reader.elements()? } else { Vec::new() },
         };
         reader.end()?;
         Ok(segment)

@@ -48,12 +48,13 @@ impl VersionFile {
         let added = |kind: &FeatureKind| AddedFeatures { kind: kind.clone(), landmarks: Vec::new() };
         contents.added_features = self.manifest.added_features.iter().map(|of| added(&of.kind)).collect();
         self.visit_segments(0, &self.manifest.frame.clone(), true, |bytes| {
-            let Segment { keyframes, cross_covariances, common_errors, aliases, .. } =
+            let Segment { keyframes, cross_covariances, common_errors, aliases, existence, .. } =
                 Segment::decode_frame(bytes)?;
             append(&mut contents.keyframes, keyframes)?;
             append(&mut contents.cross_covariances, cross_covariances)?;
             append(&mut contents.common_errors, common_errors)?;
-            append(&mut contents.aliases, aliases)
+            append(&mut contents.aliases, aliases)?;
+            append(&mut contents.existence, existence)
         })?;
         Ok(contents)
     }

@@ -108,6 +108,7 @@ fn write_version(
     sorted.cross_covariances.iter().try_for_each(|cross| writer.add(cross.as_ref()))?;
     sorted.common_errors.iter().try_for_each(|common| writer.add(*common))?;
     sorted.aliases.iter().try_for_each(|aliases| writer.add(*aliases))?;
+    sorted.existence.iter().try_for_each(|existence| writer.add(*existence))?;
     let frame = writer.take_segments()?;
     sorted.landmarks.iter().try_for_each(|landmark| writer.add(landmark.as_ref()))?;
     let landmarks = writer.take_segments()?;

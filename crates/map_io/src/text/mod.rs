@@ -16,6 +16,7 @@
 //! | `cross_covariances.csv` | two keyframes, 6x6 block `E[e_a e_bᵀ]` by rows, without what `common_errors.csv` says |
 //! | `common_errors.csv` | keyframe, 6xN factor `U` by columns: adds `U_a U_bᵀ` to the covariance of any two keyframes |
 //! | `aliases.csv` | keyframe, and another one that its image could be taken for with its log-odds; a keyframe alone has none |
+//! | `existence.csv` | landmark, log-odds that it is there, time of these, time at which it was seen last (ns) |
 //! | `sessions.json` | the ledger: which recordings the map was made of, as `manifest.json` of a stored map has it |
 //! | `features.csv` | keyframe, pixel, descriptor: all features of an image, also those without a landmark |
 //! | `camera_1.yaml` ... | further cameras; `keyframes.csv` then has a column with the camera's number |
@@ -63,10 +64,11 @@ mod names {
     pub(super) const CROSS_COVARIANCES: &str = "cross_covariances.csv";
     pub(super) const COMMON_ERRORS: &str = "common_errors.csv";
     pub(super) const ALIASES: &str = "aliases.csv";
+    pub(super) const EXISTENCE: &str = "existence.csv";
     pub(super) const FEATURES: &str = "features.csv";
     pub(super) const SESSIONS: &str = "sessions.json";
     /// All of them.
-    pub(super) const ALL: [&str; 11] = [
+    pub(super) const ALL: [&str; 12] = [
         KEYFRAMES,
         LANDMARKS,
         OBSERVATIONS,
@@ -76,6 +78,7 @@ mod names {
         CROSS_COVARIANCES,
         COMMON_ERRORS,
         ALIASES,
+        EXISTENCE,
         FEATURES,
         SESSIONS,
     ];
@@ -96,5 +99,6 @@ mod columns {
     pub(super) const CROSS_COVARIANCES: &str = "keyframe_a,keyframe_b,36 entries of the 6x6 block by rows";
     pub(super) const COMMON_ERRORS: &str = "keyframe,6 entries of each column of its factor";
     pub(super) const ALIASES: &str = "keyframe,other keyframe,log-odds";
+    pub(super) const EXISTENCE: &str = "landmark,log-odds,timestamp [ns],last seen [ns]";
     pub(super) const FEATURES: &str = "keyframe,u [px],v [px],descriptor [hex]";
 }

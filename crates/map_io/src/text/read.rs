@@ -8,7 +8,8 @@ use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use map::model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+    Observation,
 };
 use nalgebra::{Matrix6, Matrix6xX, Quaternion, Unit, Vector3};
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
@@ -53,6 +54,7 @@ pub fn read_map(folder: &Path) -> Result<MapContents, MapFileError> {
         cross_covariances: read_cross_covariances(folder, &keyframes)?,
         common_errors: read_common_errors(folder, &keyframes)?,
         aliases: read_aliases(folder, &keyframes)?,
+        existence: read_existence(folder)?,
         keyframes: keyframes.into_values().collect(),
         landmarks: landmarks.into_values().collect(),
         ..MapContents::empty(info)
@@ -211,6 +213,22 @@ fn read_aliases(
         }
     }
     Ok(places.into_iter().map(|(keyframe, places)| KeyframeAliases { keyframe, places }).collect())
+}
+
+fn read_existence(folder: &Path) -> Result<Vec<LandmarkExistence>, MapFileError> {
+    let Some(table) = Table::read_optional(&folder.join(names::EXISTENCE))? else {
+        return Ok(Vec::new());
+    };
+    let of_row = |row: Row<'_>| {
+        row.expect_fields(4, 4, columns::EXISTENCE)?;
+        Ok(LandmarkExistence {
+            landmark: row.integer(0, "landmark")?,
+            log_odds: row.number(1, "log-odds")?,
+            stamp_ns: row.integer(2, "time")?,
+            seen_ns: row.integer(3, "time")?,
+        })
+    };
+    table.rows().map(of_row).collect()
 }
 
 fn read_landmarks(

@@ -67,6 +67,7 @@ fn texts(contents: &MapContents) -> Vec<(String, String)> {
         (names::CROSS_COVARIANCES, cross_covariances_text(contents)),
         (names::COMMON_ERRORS, common_errors_text(contents)),
         (names::ALIASES, aliases_text(contents)),
+        (names::EXISTENCE, existence_text(contents)),
         (names::FEATURES, features_text(contents)),
         (names::SESSIONS, sessions_text(&contents.info.sessions)),
     ];
@@ -190,6 +191,14 @@ fn aliases_text(contents: &MapContents) -> Option<String> {
         }
     }
     (!contents.aliases.is_empty()).then_some(text)
+}
+
+fn existence_text(contents: &MapContents) -> Option<String> {
+    let mut text = format!("#{}\n", columns::EXISTENCE);
+    for of in &contents.existence {
+        let _ = writeln!(text, "{},{},{},{}", of.landmark, of.log_odds, of.stamp_ns, of.seen_ns);
+    }
+    (!contents.existence.is_empty()).then_some(text)
 }
 
 fn features_text(contents: &MapContents) -> Option<String> {

@@ -6,11 +6,14 @@ use serde::de::DeserializeOwned;
 use super::envelope::HEADER_BYTES;
 use super::error::RecordError;
 use super::layout::{
-    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, ImageRecord, KeyframeRecord, LandmarkRecord,
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, ExistenceRecord, ImageRecord, KeyframeRecord,
+    LandmarkRecord,
 };
 use super::table::Table;
 use crate::added::KeptImage;
-use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation};
+use crate::model::{
+    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence, Observation,
+};
 
 /// An element of a map, which is stored as one record.
 pub trait Element: Sized {
@@ -158,5 +161,23 @@ impl Element for KeptImage {
 
     fn from_record([keyframe]: [u64; 1], record: ImageRecord) -> Result<Self, RecordError> {
         Ok(record.into_image(keyframe))
+    }
+}
+
+impl Element for LandmarkExistence {
+    const TABLE: Table = Table::Existence;
+    type Key = [u64; 1];
+    type Record = ExistenceRecord;
+
+    fn key(&self) -> [u64; 1] {
+        [self.landmark]
+    }
+
+    fn to_record(&self) -> ExistenceRecord {
+        ExistenceRecord::new(self)
+    }
+
+    fn from_record([landmark]: [u64; 1], record: ExistenceRecord) -> Result<Self, RecordError> {
+        Ok(record.into_existence(landmark))
     }
 }

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 use super::error::RecordError;
 use crate::added::KeptImage;
 use crate::model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
+    Observation,
 };
 
 /// How far a stored quaternion may be from unit length: as in a valid map.
@@ -293,6 +294,28 @@ impl ImageRecord {
     /// The image that the record holds; the keyframe is the key.
     pub(super) fn into_image(self, keyframe: KeyframeId) -> KeptImage {
         KeptImage { keyframe, jpeg: self.0 }
+    }
+}
+
+/// [`LandmarkExistence`] on disk; the landmark is the key.
+#[derive(Serialize, Deserialize)]
+pub struct ExistenceRecord {
+    log_odds: f64,
+    stamp_ns: i64,
+    seen_ns: i64,
+}
+
+impl ExistenceRecord {
+    /// The record of a landmark's existence.
+    pub(super) fn new(existence: &LandmarkExistence) -> ExistenceRecord {
+        let LandmarkExistence { log_odds, stamp_ns, seen_ns, .. } = *existence;
+        ExistenceRecord { log_odds, stamp_ns, seen_ns }
+    }
+
+    /// The existence that the record holds; the landmark is the key.
+    pub(super) fn into_existence(self, landmark: LandmarkId) -> LandmarkExistence {
+        let ExistenceRecord { log_odds, stamp_ns, seen_ns } = self;
+        LandmarkExistence { landmark, log_odds, stamp_ns, seen_ns }
     }
 }
 

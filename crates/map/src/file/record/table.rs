@@ -15,6 +15,8 @@ pub enum Table {
     Aliases,
     /// Images of keyframes, by keyframe.
     Images,
+    /// Whether landmarks are still there, by landmark.
+    Existence,
 }
 
 impl Table {
@@ -27,6 +29,7 @@ impl Table {
             Table::CommonErrors => "common_errors",
             Table::Aliases => "aliases",
             Table::Images => "images",
+            Table::Existence => "existence",
         }
     }
 
@@ -40,6 +43,7 @@ impl Table {
             Table::CommonErrors => format!("the common error of keyframe {ids}"),
             Table::Aliases => format!("the aliases of keyframe {ids}"),
             Table::Images => format!("the image of keyframe {ids}"),
+            Table::Existence => format!("the existence of landmark {ids}"),
         }
     }
 }
