@@ -92,7 +92,7 @@ pub use kept_images::{KeptImages, keep_images};
 pub use map_frame::map_in_frame;
 pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;
-pub use options::{BuildOptions, StoredPoses};
+pub use options::{BuildOptions, MapPoses, StoredPoses};
 pub use pipeline::build_map;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};

@@ -60,6 +60,22 @@ pub struct BuildOptions {
     pub refine_poses: bool,
     /// Which poses the map states.
     pub stored_poses: StoredPoses,
+    /// What an extension does to the poses that the map had before.
+    pub map_poses: MapPoses,
+}
+
+/// What an extension does to the poses that a map had before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum MapPoses {
+    /// They are adjusted together with those of the recording. All that the recording observes then has to stay in the map: what is
+    /// taken out is used, and would be used again.
+    #[default]
+    Adjusted,
+    /// They stay as they are, with their covariance, and the recording is located in them. Any part of it can be taken out again.
+    ///
+    /// Source: the consider states of Schmidt 1966.
+    Considered,
 }
 
 /// Which poses a map states for its keyframes.
@@ -95,6 +111,7 @@ impl Default for BuildOptions {
             min_observations: 2,
             refine_poses: true,
             stored_poses: StoredPoses::Refined,
+            map_poses: MapPoses::Adjusted,
         }
     }
 }

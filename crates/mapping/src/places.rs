@@ -153,7 +153,7 @@ fn measured(relative: &RelativePose, poses: &[Pose]) -> Pose {
 }
 
 /// The transform with vertical z that takes a pose to another one.
-fn turned_about_vertical(global: &Pose, own: &Pose) -> Pose {
+pub(super) fn turned_about_vertical(global: &Pose, own: &Pose) -> Pose {
     let turn = rotation::log(&(global.rotation * own.rotation.inverse()));
     let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
     Pose::new(yaw, global.translation - yaw * own.translation)

@@ -2,7 +2,7 @@
 
 use adjustment::{
     Bundle, Factor, InverseDepthLandmark, JointPrior, LandmarkTie, Loss, MAPPED_INVERSE_DEPTHS,
-    MeasuredPoses, MountedCamera, PixelModel, PosePrior, Problem, RelativePose, ViewPose,
+    MeasuredPoses, MountedCamera, PixelModel, PosePrior, Problem, RelativePose, StateCovariance, ViewPose,
 };
 use estimator::inertial_chain::InertialChain;
 use nalgebra::Vector3;
@@ -156,12 +156,36 @@ pub(super) fn covariance_of(
     sigma_px: f64,
     progress: Progress<'_>,
 ) -> Result<JointCovariance, BuildError> {
-    let problem = constraints.problem(cameras, sigma_px);
-    let covariance = problem.covariance(bundle).ok_or(BuildError::Indefinite)?;
+    let covariance = state_covariance(cameras, constraints, bundle, sigma_px)?;
+    Ok(stated_covariance(&covariance, constraints, bundle, (views, keyframes), stored, progress))
+}
+
+/// The covariance of all states of a bundle at the minimum.
+///
+/// # Errors
+/// [`BuildError::Indefinite`].
+pub(super) fn state_covariance(
+    cameras: &[MountedCamera],
+    constraints: &Constraints,
+    bundle: &Bundle,
+    sigma_px: f64,
+) -> Result<StateCovariance, BuildError> {
+    constraints.problem(cameras, sigma_px).covariance(bundle).ok_or(BuildError::Indefinite)
+}
+
+/// What a map states of the covariance of all states: see [`covariance_of`].
+pub(super) fn stated_covariance(
+    covariance: &StateCovariance,
+    constraints: &Constraints,
+    bundle: &Bundle,
+    (views, keyframes): (&[usize], usize),
+    stored: &[StoredPoses],
+    progress: Progress<'_>,
+) -> JointCovariance {
     let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
-    let posterior = Posterior::new(&covariance, &bundle.poses, views, stored);
+    let posterior = Posterior::new(covariance, &bundle.poses, views, stored);
     let show = |done, all| progress(Stage::Covariance, done, all);
-    Ok(joint_covariance(&posterior, (views, keyframes), &positions, constraints.own_frame.as_ref(), show))
+    joint_covariance(&posterior, (views, keyframes), &positions, constraints.own_frame.as_ref(), show)
 }
 
 /// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.

@@ -6,13 +6,16 @@ use adjustment::{Bundle, InverseDepthLandmark};
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
 use map::model::{Landmark, Observation};
+use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use super::error::ExtendError;
 use super::report::ExtensionReport;
 use crate::assemble::{map_contents, map_observation, stated_keyframes};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
+use crate::options::MapPoses;
 use crate::session::{enter, last_keyframe};
+use crate::stored_landmarks::StoredLandmarks;
 use crate::without_references::Builder;
 
 /// The map of both: what was stored with its ids, moved, and what is new with ids beyond them. Features of added kinds were triangulated
@@ -37,6 +40,8 @@ pub(super) fn extended(
     let mut contents = MapContents {
         keyframes: stored.keyframes.clone(),
         landmarks: stored.landmarks.clone(),
+        aliases: stored.aliases.clone(),
+        existence: stored.existence.clone(),
         images: stored.images.clone(),
         ..MapContents::empty(stored.info.clone())
     };
@@ -57,6 +62,9 @@ pub(super) fn extended(
         landmark.observations.iter_mut().for_each(|observation| observation.keyframe += ids.last_keyframe);
     }
     add_observations(&mut contents.landmarks, &again, builder, ids.last_keyframe);
+    if builder.options.map_poses == MapPoses::Considered {
+        place_again(&mut contents, &again);
+    }
     contents.landmarks.append(&mut recording.landmarks);
     (contents.cross_covariances, contents.common_errors) =
         joint.of_keyframes(|view| match builder.views.get(view) {
@@ -108,6 +116,22 @@ fn add_observations(
             let observed = map_observation(&builder.rig, observation.feature, &builder.views);
             let renamed = |of: Observation| Observation { keyframe: of.keyframe + last_keyframe, ..of };
             landmark.observations.extend(observed.map(renamed));
+        }
+    }
+}
+
+/// Moves the landmarks that were seen again to where their pixels show them from the poses that the map states.
+fn place_again(contents: &mut MapContents, again: &[InverseDepthLandmark]) {
+    let known = StoredLandmarks::of_map(contents);
+    let placed = again.iter().filter_map(|landmark| {
+        let id = landmark.prior.as_ref()?.id;
+        let landmark = known.with_prior(id, 0)?;
+        Some((id, landmark.ray.push(1.0) / landmark.inverse_depth))
+    });
+    let placed: BTreeMap<LandmarkId, Vector3<f64>> = placed.collect();
+    for landmark in &mut contents.landmarks {
+        if let Some(position) = placed.get(&landmark.id) {
+            landmark.position_in_anchor = *position;
         }
     }
 }

@@ -7,8 +7,11 @@
 //! 4. These relative poses are replaced by what they came from: landmarks of the map, each given the map's poses, with the
 //!    pixels of the recording. Both are adjusted together, and the joint covariance of all keyframes is computed.
 //!
+//! With [`MapPoses::Considered`] the poses of the map and their covariance stay as they are; what is new is located in them.
+//!
 //! Keyframes and landmarks of the map keep their ids. Landmarks that the recording does not see move with their anchors.
 
+mod agreement;
 mod assemble;
 mod error;
 mod fusion;
@@ -29,15 +32,16 @@ use crate::feature_source::Extraction;
 use crate::keyframe_view::{image_count, keyframes};
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
-use crate::options::BuildOptions;
+use crate::options::{BuildOptions, MapPoses};
 use crate::places::{Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
 use crate::progress::Progress;
-use crate::refinement::{Constraints, ROUNDS, covariance_of};
+use crate::refinement::{Constraints, ROUNDS, state_covariance, stated_covariance};
 use crate::session::check_new_recording;
 use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;
 use crate::tied_keyframes::{MOST_TIED, choose_places};
 use crate::without_references::Builder;
+use agreement::OwnPoses;
 pub use error::ExtendError;
 pub use report::ExtensionReport;
 
@@ -70,8 +74,10 @@ pub fn extend_map(
     check_new_recording(&stored.info, sequence, options)?;
     let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
     check_new(stored, &builder)?;
-    let (session, _) = builder.build()?;
+    let (session, of_recording) = builder.build()?;
     let sigma_px = builder.report.sigma_px;
+    let own_covariance = state_covariance(&builder.rig.cameras, &of_recording, &session, sigma_px)?;
+    let own_poses = OwnPoses::new(&keyframes(&builder.views), &session.poses, &own_covariance);
     builder.options.sigma_px = Some(sigma_px);
     let found = places_of(stored, &mut builder, &session.poses)?;
     let mut report = ExtensionReport {
@@ -99,8 +105,11 @@ pub fn extend_map(
     move_recording(&mut both, builder.views.len(), &alignment);
     let (places, tied) = tied_keyframes(stored, builder.views.len(), alignment.agreeing);
     report.tied_keyframes = tied.len();
-    let stored_poses =
+    let mut stored_poses =
         StoredPoses::of_map(stored, builder.views.len(), tied).ok_or(ExtendError::Indefinite)?;
+    if options.map_poses == MapPoses::Considered {
+        stored_poses = stored_poses.considered();
+    }
     let (mut both, places) = tie(&mut builder, &stored_poses, both, places)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
@@ -112,15 +121,22 @@ pub fn extend_map(
     stored_poses.follow(&mut both.poses);
     let mut views = keyframes(&builder.views);
     views.extend(builder.views.len()..both.poses.len());
-    let joint = covariance_of(
-        &builder.rig.cameras,
+    let covariance = state_covariance(&builder.rig.cameras, &constraints, &both, sigma_px)?;
+    [report.map_chi_square, report.map_freedom] = own_poses.moved(&both.poses, &covariance);
+    let joint = stated_covariance(
+        &covariance,
         &constraints,
         &both,
         (&views, image_count(&builder.views) + stored.keyframes.len()),
         std::slice::from_ref(&stored_poses),
-        sigma_px,
         builder.progress,
-    )?;
+    );
+    if options.map_poses == MapPoses::Considered {
+        let first = builder.views.len();
+        for (pose, keyframe) in both.poses[first..].iter_mut().zip(&stored.keyframes) {
+            *pose = keyframe.global_from_keyframe.pose;
+        }
+    }
     let mut contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
     find_aliases(&mut contents, builder.progress)?;
     assemble::fill_report(&mut report, stored, &contents, &both);

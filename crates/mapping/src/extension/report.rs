@@ -24,6 +24,11 @@ pub struct ExtensionReport {
     pub agreeing_places: usize,
     /// Keyframes of the map that these places tie to the recording; all others follow by their correlations with these.
     pub tied_keyframes: usize,
+    /// How far the map moves the recording's keyframes relative to each other, squared, in units of what is to be expected: chi-square
+    /// distributed with `map_freedom` degrees of freedom where recording and map are as certain as they state.
+    pub map_chi_square: f64,
+    /// Degrees of freedom of `map_chi_square`.
+    pub map_freedom: f64,
     /// Landmarks of the map that the recording sees again.
     pub landmarks_seen_again: usize,
     /// Observations of them.

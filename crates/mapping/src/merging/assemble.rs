@@ -7,7 +7,7 @@ use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::KeptImage;
 use map::contents::MapContents;
-use map::model::Keyframe;
+use map::model::{Keyframe, LandmarkExistence};
 use map::sessions::Session;
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
@@ -35,6 +35,7 @@ pub(super) fn merged(
         + shift(second.landmarks.iter().map(|landmark| landmark.id));
     let mut contents =
         MapContents { landmarks: first.landmarks.clone(), ..MapContents::empty(first.info.clone()) };
+    contents.existence.clone_from(&first.existence);
     contents.info.sessions = sessions(first, second, last_keyframe);
     contents.info.sigma_px = first.info.sigma_px.max(second.info.sigma_px);
     let new = second
@@ -88,6 +89,9 @@ fn add_landmarks(
     let tie_of: BTreeMap<LandmarkId, &LandmarkTie> = ties.iter().map(|tie| (tie.ids()[1], tie)).collect();
     let index_of: BTreeMap<LandmarkId, usize> =
         contents.landmarks.iter().map(|landmark| landmark.id).zip(0..).collect();
+    let is_new = |existence: &&LandmarkExistence| !tie_of.contains_key(&existence.landmark);
+    let renamed = |of: &LandmarkExistence| LandmarkExistence { landmark: of.landmark + last_landmark, ..*of };
+    contents.existence.extend(second.existence.iter().filter(is_new).map(renamed));
     for landmark in &second.landmarks {
         let mut landmark = landmark.clone();
         landmark.observations.iter_mut().for_each(|seen| seen.keyframe += last_keyframe);

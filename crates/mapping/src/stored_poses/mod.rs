@@ -52,6 +52,8 @@ pub(crate) struct StoredPoses {
     information: Arc<DMatrix<f64>>,
     /// Where the map says nothing of its frame.
     frame: Option<FreeFrame>,
+    /// The poses and their covariance stay as the map states them.
+    is_considered: bool,
 }
 
 /// Yaw and position of a map, of which nothing is known.
@@ -94,7 +96,24 @@ impl StoredPoses {
             follows[keyframe] = false;
         }
         let means = contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose).collect();
-        Some(StoredPoses { first, means, covariance, tied, follows, information, frame: None })
+        Some(StoredPoses {
+            first,
+            means,
+            covariance,
+            tied,
+            follows,
+            information,
+            frame: None,
+            is_considered: false,
+        })
+    }
+
+    /// The same, but what is measured changes neither the poses of the map nor their covariance: it locates the other views in them.
+    ///
+    /// With the gain of the adjustment for the other views and none for those of the map, the covariance of Schmidt 1966 is that of the
+    /// adjustment for the other views and between these and the map, and the stated one within the map.
+    pub(crate) fn considered(self) -> StoredPoses {
+        StoredPoses { is_considered: true, ..self }
     }
 
     /// The same without what the map says of its yaw and position: of the keyframes relative to each other.

@@ -14,6 +14,8 @@ pub(crate) struct Posterior<'a> {
     /// Those of them that were adjusted.
     adjusted: Vec<usize>,
     maps: Vec<AdjustedMap<'a>>,
+    /// Of the wanted views, those that are keyframes of a map which stays as it is: the map and its keyframe.
+    considered: Vec<Option<(usize, usize)>>,
 }
 
 /// Where the covariance of a view comes from.
@@ -59,7 +61,14 @@ impl<'a> Posterior<'a> {
                 adjusted.push(view);
             }
         }
-        let mut posterior = Posterior { covariance, wanted, adjusted, maps: Vec::new() };
+        let considered = |view: &usize| {
+            stored.iter().enumerate().filter(|(_, of_map)| of_map.is_considered).find_map(|(map, of_map)| {
+                let keyframe = view.checked_sub(of_map.first)?;
+                (keyframe < of_map.means.len()).then_some((map, keyframe))
+            })
+        };
+        let considered = views.iter().map(considered).collect();
+        let mut posterior = Posterior { covariance, wanted, adjusted, maps: Vec::new(), considered };
         posterior.maps = stored.iter().map(|of_map| posterior.adjusted_map(of_map, poses)).collect();
         posterior
     }
@@ -101,6 +110,30 @@ impl<'a> Posterior<'a> {
 
     /// The column of the wanted view at this position: a block for each wanted view.
     pub(crate) fn column(&self, at: usize) -> Vec<Matrix6<f64>> {
+        let mut column = self.adjusted_map_column(at);
+        let own = self.considered[at];
+        let stated = own.map(|(map, keyframe)| self.maps[map].stored.covariance.column(keyframe));
+        for (block, row) in column.iter_mut().zip(&self.considered) {
+            match (row, own, &stated) {
+                (Some((map, keyframe)), Some((of_own, _)), Some(stated)) if *map == of_own => {
+                    *block = stated.fixed_view::<POSE, POSE>(POSE * keyframe, 0).into();
+                }
+                _ => {
+                    // The errors are those of the stored poses, not of the adjusted ones.
+                    if let Some((map, keyframe)) = row {
+                        *block = self.maps[*map].jacobians[*keyframe] * *block;
+                    }
+                    if let Some((map, keyframe)) = own {
+                        *block *= self.maps[map].jacobians[keyframe].transpose();
+                    }
+                }
+            }
+        }
+        column
+    }
+
+    /// The same where the poses of all maps are adjusted.
+    fn adjusted_map_column(&self, at: usize) -> Vec<Matrix6<f64>> {
         let (adjusted, own) = match self.wanted[at] {
             RequestedPose::Adjusted(position) => (self.known_or_computed_column(position), None),
             RequestedPose::Following { map, keyframe } => {

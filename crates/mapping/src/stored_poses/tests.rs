@@ -1,6 +1,6 @@
 //! The law of tied keyframes: adjusting them, with the others following, is adjusting all of them.
 
-use adjustment::{Bundle, Factor, NormalEquations, StateCovariance, StateLayout};
+use adjustment::{Bundle, Factor, NormalEquations, StateCovariance, StateLayout, pose_error};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
@@ -156,6 +156,41 @@ fn following_keyframes_are_where_an_adjustment_of_all_puts_them() {
     let mut rng = StdRng::seed_from_u64(1);
     let maps = [random_map(&mut rng, 3.0)];
     assert_the_same(&maps, |_| false);
+}
+
+/// The update of Schmidt 1966, with a dense filter: the gain of the map's rows is zero.
+#[test]
+fn a_considered_map_stays_as_it_is_and_what_is_located_in_it_is_as_certain_as_with_a_schmidt_update() {
+    let mut rng = StdRng::seed_from_u64(6);
+    let maps = [random_map(&mut rng, 3.0), random_map(&mut rng, 3.0)];
+    let mut adjustment = Adjustment::new(&maps, &TIED, |_| false);
+    let states = adjustment.adjust(&mut StdRng::seed_from_u64(7));
+    let optimal = adjustment.covariance(&states);
+    // Errors are relative to the stored poses in one, to the adjusted ones in the other.
+    let mut to_stored = DMatrix::identity(optimal.nrows(), optimal.ncols());
+    for view in KEYFRAMES..2 * KEYFRAMES {
+        let mean = &maps[1].keyframes[view - KEYFRAMES].global_from_keyframe.pose;
+        let jacobian = pose_error(mean, &adjustment.poses[view]).1;
+        to_stored.fixed_view_mut::<POSE, POSE>(POSE * view, POSE * view).copy_from(&jacobian);
+    }
+    let optimal = &to_stored * optimal * to_stored.transpose();
+    let considered = adjustment.stored.pop().unwrap().considered();
+    adjustment.stored.push(considered);
+    let stated = adjustment.covariance(&states);
+    let (of_first, all) = (POSE * KEYFRAMES, adjustment.layout.dim());
+    let of_map = MapCovariance::of_map(&maps[1]).unwrap();
+    for keyframe in 0..KEYFRAMES {
+        let column = stated.view((of_first, of_first + POSE * keyframe), (all - of_first, POSE));
+        assert!((column - of_map.column(keyframe)).amax() < 1e-15);
+    }
+    // P+ of a Schmidt update differs from that of the optimal one by what the map would have learned: K_m S K_m^T.
+    let difference = &stated - &optimal;
+    let scale = optimal.amax();
+    assert!(difference.view((0, 0), (of_first, all)).amax() < 1e-9 * scale, "{difference}");
+    let learned = difference.view((of_first, of_first), (all - of_first, all - of_first)).into_owned();
+    let least = learned.symmetric_eigen().eigenvalues.min();
+    assert!(least > -1e-5 * scale, "{least} of {scale}");
+    assert!(stated.cholesky().is_some());
 }
 
 #[test]

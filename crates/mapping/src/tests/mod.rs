@@ -24,7 +24,7 @@ mod extension;
 mod rig;
 mod selection;
 
-fn normal(rng: &mut StdRng) -> f64 {
+pub(crate) fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)
 }
 
