@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`Scenario`], [`SimulationOptions`] | what is simulated |
 //! | [`simulate`] | both recordings with tracks and features, as [`sensors::Sequence`] |
+//! | [`ChangingPlace`] | many sessions in a world whose landmarks are moved between them |
 //! | [`images`] | both recordings with rendered images instead |
 //! | [`drive`] | a trajectory of a robot on wheels |
 //! | [`spline`] | continuous trajectories with velocity, acceleration and angular velocity |
@@ -24,6 +25,7 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod changing_place;
 pub mod drive;
 mod exposure;
 mod features;
@@ -42,6 +44,7 @@ pub(crate) mod world;
 #[cfg(test)]
 mod tests;
 
+pub use changing_place::ChangingPlace;
 use evaluation::trajectory::StampedPose;
 pub use scenario::Scenario;
 use sensors::{CameraSensor, ImuNoise, Sequence};

@@ -26,6 +26,7 @@ pub(crate) enum Purpose {
     Images = 14,
     Wheels = 15,
     Gnss = 16,
+    MovedLandmarks = 17,
 }
 
 /// The stream for one purpose of one run.

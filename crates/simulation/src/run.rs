@@ -31,6 +31,19 @@ pub(crate) enum Kind {
     Live = 1,
 }
 
+/// A run: its purpose, and the number by which its noise differs from that of other runs.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Run {
+    pub(crate) kind: Kind,
+    pub(crate) number: u64,
+}
+
+impl From<Kind> for Run {
+    fn from(kind: Kind) -> Self {
+        Run { kind, number: kind as u64 }
+    }
+}
+
 /// Time by which the map's run goes on after the end of the live run, so that landmarks reach further, seconds.
 const AHEAD_S: f64 = 5.0;
 
@@ -82,25 +95,27 @@ pub(crate) fn trajectories(options: &SimulationOptions) -> Result<Trajectories, 
 /// Records a run of tracks and features.
 pub(crate) fn record(
     options: &SimulationOptions,
-    kind: Kind,
+    run: impl Into<Run>,
     trajectory: &Spline,
     cameras: &[CameraSensor],
     landmarks: &[Landmark],
 ) -> Sequence {
-    let frames = frames(options, kind, trajectory, cameras, landmarks);
-    with_readings(options, kind, trajectory, cameras, frames)
+    let run = run.into();
+    let frames = frames(options, run, trajectory, cameras, landmarks);
+    with_readings(options, run, trajectory, cameras, frames)
 }
 
 /// A recording of frames, with IMU and truth of the same motion, and the map's run with reference poses: of the frames with
 /// features, and without any features of all.
 pub(crate) fn with_readings(
     options: &SimulationOptions,
-    kind: Kind,
+    run: impl Into<Run>,
     trajectory: &Spline,
     cameras: &[CameraSensor],
     frames: Vec<Frame>,
 ) -> Sequence {
-    let imu = imu::record(options, trajectory, kind as u64);
+    let Run { kind, number } = run.into();
+    let imu = imu::record(options, trajectory, number);
     let truth_stamps =
         std::iter::once(trajectory.start_ns()).chain(frames.iter().map(|frame| frame.stamp_ns));
     let groundtruth = truth_stamps.map(|stamp_ns| {
@@ -136,17 +151,16 @@ pub(crate) fn with_readings(
 
 fn frames(
     options: &SimulationOptions,
-    kind: Kind,
+    run: Run,
     trajectory: &Spline,
     cameras: &[CameraSensor],
     landmarks: &[Landmark],
 ) -> Vec<Frame> {
-    let run = kind as u64;
-    let mut front_end = FrontEnd::new(options, run);
-    let mut extractor = Extractor::new(options, run);
-    let (dropouts, period_s) = match kind {
+    let mut front_end = FrontEnd::new(options, run.number);
+    let mut extractor = Extractor::new(options, run.number);
+    let (dropouts, period_s) = match run.kind {
         Kind::Map => (Vec::new(), options.map_feature_period_s),
-        Kind::Live => (dropout_intervals(options, run), options.live_feature_period_s),
+        Kind::Live => (dropout_intervals(options, run.number), options.live_feature_period_s),
     };
     let every = (period_s * options.frame_rate_hz).round().max(1.0) as usize;
     let duration = (trajectory.end_ns() - trajectory.start_ns()) as f64;

@@ -1,0 +1,135 @@
+//! What is gone: the landmarks that no longer exist by what sessions saw, and the keyframes that show too little of what is left.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
+
+use map::{Landmark, LandmarkExistence, MapContents, edit};
+use mapping::BuildReport;
+use protocol::{KeyframeId, LandmarkId};
+
+use crate::existence::{ExistenceModel, log_odds, probability, updated};
+use crate::rates::{DetectionRates, Shown};
+use crate::settings::Settings;
+use crate::sightings::Sighting;
+
+/// Probability that a landmark which is gone is taken for seen: another one that looks alike is near.
+pub(crate) const FALSE_SIGHTING: f64 = 0.03;
+
+/// Updates the existence of landmarks by what a session shows of them.
+///
+/// # Arguments
+/// * `session`: ids of its keyframes.
+/// * `stamp_ns`: when it ended.
+///
+/// # Returns
+/// How likely the session saw a landmark that was there.
+pub(crate) fn update_existence(
+    contents: &mut MapContents,
+    sightings: &[Sighting],
+    session: &RangeInclusive<KeyframeId>,
+    stamp_ns: i64,
+    settings: &Settings,
+) -> DetectionRates {
+    let model = ExistenceModel::new(settings.half_life_ns());
+    let assumed = AssumedExistence::of(contents, stamp_ns, settings);
+    let stated: BTreeMap<LandmarkId, LandmarkExistence> =
+        contents.existence.iter().map(|existence| (existence.landmark, *existence)).collect();
+    let before = |sighting: &Sighting| {
+        let landmark = &contents.landmarks[sighting.landmark];
+        let mut of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
+        of.log_odds = model.predicted(of.log_odds, stamp_ns.saturating_sub(of.stamp_ns));
+        of
+    };
+    let expected: Vec<Shown> = sightings
+        .iter()
+        .filter(|sighting| sighting.exposures > 0)
+        .map(|sighting| Shown {
+            exposures: sighting.exposures,
+            seen: sighting.seen,
+            log_odds: before(sighting).log_odds,
+        })
+        .collect();
+    let rates = DetectionRates::learned(&expected, FALSE_SIGHTING);
+    let mut existence = stated.clone();
+    for landmark in &contents.landmarks {
+        // What is new has its time, also when the keyframe that saw it is taken out.
+        if landmark.observations.iter().all(|seen| session.contains(&seen.keyframe)) {
+            existence.insert(landmark.id, assumed.of_landmark(landmark));
+        }
+    }
+    for sighting in sightings {
+        let mut of = before(sighting);
+        of.log_odds = updated(of.log_odds, sighting.seen, rates.of(sighting.exposures), FALSE_SIGHTING);
+        of.stamp_ns = of.stamp_ns.max(stamp_ns);
+        if sighting.seen {
+            of.seen_ns = of.seen_ns.max(stamp_ns);
+        }
+        existence.insert(of.landmark, of);
+    }
+    contents.existence = existence.into_values().collect();
+    rates
+}
+
+/// What is known of the existence of landmarks of which nothing is stated: they are as new as their newest observation.
+pub(crate) struct AssumedExistence {
+    stamps: BTreeMap<KeyframeId, i64>,
+    log_odds: f64,
+    now_ns: i64,
+}
+
+impl AssumedExistence {
+    /// # Arguments
+    /// * `now_ns`: when landmarks were seen of which no time is known.
+    pub(crate) fn of(contents: &MapContents, now_ns: i64, settings: &Settings) -> AssumedExistence {
+        let stamps = contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.stamp_ns)).collect();
+        AssumedExistence { stamps, log_odds: log_odds(settings.new_existence), now_ns }
+    }
+
+    pub(crate) fn of_landmark(&self, landmark: &Landmark) -> LandmarkExistence {
+        let observed = landmark.observations.iter().filter_map(|seen| self.stamps.get(&seen.keyframe));
+        let newest_ns = observed.copied().max().filter(|stamp_ns| *stamp_ns != 0).unwrap_or(self.now_ns);
+        LandmarkExistence {
+            landmark: landmark.id,
+            log_odds: self.log_odds,
+            stamp_ns: newest_ns,
+            seen_ns: newest_ns,
+        }
+    }
+}
+
+/// Takes out the landmarks that are gone, and the keyframes that they leave with too few.
+///
+/// # Returns
+/// Positions of the landmarks in G (m), and the keyframes.
+pub(crate) fn remove_gone(
+    contents: &mut MapContents,
+    settings: &Settings,
+) -> (Vec<[f64; 3]>, BTreeSet<KeyframeId>) {
+    let is_gone = |of: &&LandmarkExistence| probability(of.log_odds) < settings.min_existence;
+    let gone: BTreeSet<LandmarkId> =
+        contents.existence.iter().filter(is_gone).map(|existence| existence.landmark).collect();
+    if gone.is_empty() {
+        return (Vec::new(), BTreeSet::new());
+    }
+    let lost = contents.landmarks_in_global().filter(|(landmark, _)| gone.contains(&landmark.id));
+    let positions = lost.map(|(_, position)| position.into()).collect();
+    let before = landmark_counts(contents);
+    contents.landmarks.retain(|landmark| !gone.contains(&landmark.id));
+    contents.drop_existence_of_others();
+    let after = landmark_counts(contents);
+    let is_left_poor = |(id, count): (KeyframeId, usize)| {
+        let left = after.get(&id).copied().unwrap_or_default();
+        (left < count && left < BuildReport::FEW_LANDMARKS).then_some(id)
+    };
+    let poor: BTreeSet<KeyframeId> = before.into_iter().filter_map(is_left_poor).collect();
+    edit::remove_keyframes(contents, &poor);
+    (positions, poor)
+}
+
+fn landmark_counts(contents: &MapContents) -> BTreeMap<KeyframeId, usize> {
+    let mut counts: BTreeMap<KeyframeId, usize> = BTreeMap::new();
+    for observation in contents.landmarks.iter().flat_map(|landmark| &landmark.observations) {
+        *counts.entry(observation.keyframe).or_default() += 1;
+    }
+    counts
+}

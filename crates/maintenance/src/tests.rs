@@ -1,0 +1,229 @@
+//! The laws of existence, of detection rates and of coverage.
+
+use std::collections::BTreeSet;
+
+use map::{LandmarkExistence, MapContents};
+use rand::rngs::StdRng;
+use rand::{RngExt as _, SeedableRng as _};
+use testing::{Place, PlaceOptions};
+
+use crate::coverage::surplus;
+use crate::existence::{ExistenceModel, log_odds, probability, updated};
+use crate::gone::{FALSE_SIGHTING, remove_gone, update_existence};
+use crate::rates::{DetectionRates, Shown};
+use crate::settings::Settings;
+use crate::sightings::Sighting;
+
+const DAY_NS: i64 = 86_400_000_000_000;
+const FIRST_NS: i64 = 1_700_000_000_000_000_000;
+
+/// The probability of all paths that a landmark can take through its two states, summed up where it is there in the end.
+fn brute_force(first: f64, steps: &[(f64, bool, f64)]) -> f64 {
+    let mut ends = [0.0; 2];
+    for path in 0..1_u32 << (steps.len() + 1) {
+        let is_there = |at: usize| path & (1 << at) != 0;
+        let mut weight = if is_there(0) { first } else { 1.0 - first };
+        for (at, &(half_lives, seen, detection)) in steps.iter().enumerate() {
+            // A state changes in a time with half of what the half-life leaves of a doubt.
+            let change = 0.5 * (1.0 - (-half_lives).exp2());
+            weight *= if is_there(at) == is_there(at + 1) { 1.0 - change } else { change };
+            let rate = if is_there(at + 1) { detection } else { FALSE_SIGHTING };
+            weight *= if seen { rate } else { 1.0 - rate };
+        }
+        ends[usize::from(is_there(steps.len()))] += weight;
+    }
+    ends[1] / (ends[0] + ends[1])
+}
+
+#[test]
+fn log_odds_are_those_of_a_bayes_filter_over_all_paths() {
+    let mut rng = StdRng::seed_from_u64(1);
+    let half_life_ns = 90.0 * DAY_NS as f64;
+    let model = ExistenceModel::new(half_life_ns);
+    for _ in 0..200 {
+        let first = rng.random_range(0.05..0.95);
+        let steps: Vec<(f64, bool, f64)> = (0..rng.random_range(1..9))
+            .map(|_| (rng.random_range(0.0..1.5), rng.random_bool(0.6), rng.random_range(0.2..0.9)))
+            .collect();
+        let filtered = steps.iter().fold(log_odds(first), |before, &(half_lives, seen, detection)| {
+            let elapsed_ns = (half_lives * half_life_ns) as i64;
+            updated(model.predicted(before, elapsed_ns), seen, detection, FALSE_SIGHTING)
+        });
+        let expected = brute_force(first, &steps);
+        assert!((probability(filtered) - expected).abs() < 1e-9, "{filtered} {expected}");
+    }
+}
+
+#[test]
+fn a_landmark_that_nobody_passes_is_never_taken_out() {
+    let model = ExistenceModel::new(90.0 * DAY_NS as f64);
+    let mut before = log_odds(0.8);
+    for _ in 0..1000 {
+        before = model.predicted(before, 30 * DAY_NS);
+    }
+    assert!((probability(before) - 0.5).abs() < 1e-9);
+}
+
+/// Of landmarks that are there, so many are taken out within a time, at most: `(O + ln 2 / 2 τ / T) p / (1 - p)` with the odds `O` against
+/// one that is new (derivation: `docs/src/derivations/existence.md`).
+#[test]
+fn an_unchanged_place_loses_no_more_than_is_stated() {
+    let settings = Settings::default();
+    let model = ExistenceModel::new(settings.half_life_ns());
+    let (sessions, every_ns, landmarks) = (100, 365 * DAY_NS / 100, 20_000);
+    for detection in [0.3, 0.5, 0.7, 0.9] {
+        let mut rng = StdRng::seed_from_u64(2);
+        let mut lost = 0;
+        for _ in 0..landmarks {
+            let mut of_landmark = log_odds(settings.new_existence);
+            lost += usize::from((0..sessions).any(|_| {
+                let seen = rng.random_bool(detection);
+                of_landmark =
+                    updated(model.predicted(of_landmark, every_ns), seen, detection, FALSE_SIGHTING);
+                probability(of_landmark) < settings.min_existence
+            }));
+        }
+        let half_lives = (sessions * every_ns) as f64 / settings.half_life_ns();
+        let against = (1.0 - settings.new_existence) / settings.new_existence;
+        let stated = (against + 0.5 * std::f64::consts::LN_2 * half_lives) * settings.min_existence
+            / (1.0 - settings.min_existence);
+        let share = lost as f64 / f64::from(landmarks);
+        println!("seen with {detection}: {share:.4} lost in a year, at most {stated:.4} stated");
+        assert!(share <= stated, "{share} of {stated}");
+    }
+}
+
+#[test]
+fn what_was_moved_is_taken_out_after_few_sessions() {
+    let settings = Settings::default();
+    let model = ExistenceModel::new(settings.half_life_ns());
+    for (detection, most) in [(0.9, 4), (0.7, 7), (0.5, 12)] {
+        let mut of_landmark = log_odds(settings.new_existence);
+        for _ in 0..50 {
+            of_landmark = updated(model.predicted(of_landmark, 4 * DAY_NS), true, detection, FALSE_SIGHTING);
+        }
+        let missed = (1..100).find(|_| {
+            of_landmark = updated(model.predicted(of_landmark, 4 * DAY_NS), false, detection, FALSE_SIGHTING);
+            probability(of_landmark) < settings.min_existence
+        });
+        assert!(missed.is_some_and(|missed| missed <= most), "{detection}: {missed:?}");
+    }
+}
+
+#[test]
+fn the_detection_rate_is_learned_in_spite_of_what_is_gone() {
+    let mut rng = StdRng::seed_from_u64(5);
+    for (truth, gone) in [(0.4, 0.05), (0.7, 0.05), (0.7, 0.2), (0.85, 0.3)] {
+        let shown: Vec<Shown> = (0..2000)
+            .map(|_| {
+                let is_there = rng.random_bool(1.0 - gone);
+                let seen = rng.random_bool(if is_there { truth } else { FALSE_SIGHTING });
+                Shown { exposures: rng.random_range(1..6), seen, log_odds: log_odds(1.0 - gone) }
+            })
+            .collect();
+        let rates = DetectionRates::learned(&shown, FALSE_SIGHTING);
+        for exposures in 1..6 {
+            let rate = rates.of(exposures);
+            assert!((rate - truth).abs() < 0.06, "{rate} for {truth}, {gone} gone");
+        }
+    }
+    let nothing = DetectionRates::learned(&[], FALSE_SIGHTING);
+    assert!((nothing.of(1) - 0.5).abs() < 1e-12);
+}
+
+fn place() -> MapContents {
+    let options = PlaceOptions { keyframes: 12, landmarks: 600, ..PlaceOptions::default() };
+    let mut map = Place::new(&options).map;
+    map.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns += 1_700_000_000_000_000_000);
+    map
+}
+
+#[test]
+fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
+    let mut map = place();
+    let settings = Settings::default();
+    let missed: BTreeSet<u64> = map.landmarks.iter().map(|landmark| landmark.id).step_by(4).collect();
+    let all: BTreeSet<u64> = map.landmarks.iter().map(|landmark| landmark.id).collect();
+    let mut removed = 0;
+    for session in 1..=6 {
+        let sighting = |(landmark, of): (usize, &map::Landmark)| Sighting {
+            landmark,
+            exposures: 3,
+            seen: !missed.contains(&of.id),
+        };
+        let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
+        let rates =
+            update_existence(&mut map, &sightings, &(0..=0), FIRST_NS + session * 4 * DAY_NS, &settings);
+        assert!(rates.of(3) >= 0.7, "{rates:?}");
+        removed += remove_gone(&mut map, &settings).0.len();
+        map.sort();
+        map.validate().unwrap();
+    }
+    let left: BTreeSet<u64> = map.landmarks.iter().map(|landmark| landmark.id).collect();
+    assert!(
+        left.is_disjoint(&missed),
+        "{} of {} missed ones are left",
+        left.intersection(&missed).count(),
+        missed.len()
+    );
+    assert_eq!(left.len() + removed, all.len());
+    assert!(map.existence.iter().all(|of| probability(of.log_odds) > 0.9));
+}
+
+#[test]
+fn a_place_keeps_so_many_keyframes_and_they_show_what_it_showed() {
+    let map = place();
+    let mut settings = Settings::default();
+    (settings.place_m, settings.place_rad) = (100.0, 7.0);
+    for most in 1..=4 {
+        settings.keyframes_a_place = most;
+        let surplus = surplus(&map, &(0..=0), 1_700_000_000_000_000_000, &settings);
+        assert!(surplus.unused.is_empty());
+        let kept = map.keyframes.len() - surplus.replaced.len();
+        // The path is longer than a place with the cube's borders: one appearance for each.
+        assert!((most..=4 * most).contains(&kept), "{kept} of {most}");
+        // Nothing changes where no more than these are there.
+        let mut thinned = map.clone();
+        map::edit::remove_keyframes(&mut thinned, &surplus.replaced);
+        thinned.validate().unwrap();
+        let again = crate::coverage::surplus(&thinned, &(0..=0), 1_700_000_000_000_000_000, &settings);
+        assert!(again.replaced.len() <= kept.saturating_sub(most), "{again:?}");
+    }
+}
+
+#[test]
+fn an_appearance_that_nobody_sees_goes_and_one_of_a_place_that_nobody_visits_stays() {
+    let mut map = place();
+    let settings = Settings::default();
+    let now_ns = 1_800_000_000_000_000_000;
+    let of_old: BTreeSet<u64> = map.keyframes[..4].iter().map(|keyframe| keyframe.id).collect();
+    let stated = |map: &MapContents, is_old: &dyn Fn(&map::Landmark) -> bool| -> Vec<LandmarkExistence> {
+        let existence = |landmark: &map::Landmark| {
+            let seen_ns = if is_old(landmark) { now_ns - 400 * DAY_NS } else { now_ns };
+            LandmarkExistence { landmark: landmark.id, log_odds: 2.0, stamp_ns: seen_ns, seen_ns }
+        };
+        map.landmarks.iter().map(existence).collect()
+    };
+    map.existence = stated(&map, &|_| true);
+    assert_eq!(surplus(&map, &(0..=0), now_ns, &settings).unused, BTreeSet::new());
+    // By night the first four keyframes are seen again, with landmarks of their own.
+    let (last, last_landmark) = (map.keyframes.len() as u64 + 100, 1_000_000);
+    let night: Vec<_> =
+        map.keyframes[..4].iter().map(|of| map::Keyframe { id: of.id + last, ..of.clone() }).collect();
+    for landmark in map.landmarks.clone() {
+        let mut at_night = map::Landmark { id: landmark.id + last_landmark, ..landmark };
+        at_night.observations.retain(|seen| of_old.contains(&seen.keyframe));
+        at_night.observations.iter_mut().for_each(|seen| seen.keyframe += last);
+        if let Some(seen) = at_night.observations.first() {
+            at_night.anchor = seen.keyframe;
+            map.landmarks.push(at_night);
+        }
+    }
+    map.keyframes.extend(night);
+    map.existence = stated(&map, &|landmark| landmark.id < last_landmark);
+    map.sort();
+    map.validate().unwrap();
+    let unused = surplus(&map, &(0..=0), now_ns, &settings).unused;
+    assert!(!unused.is_empty() && unused.is_subset(&of_old), "{unused:?}");
+    assert_eq!(unused, of_old);
+}
