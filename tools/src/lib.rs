@@ -12,6 +12,7 @@ pub mod demo;
 #[cfg(feature = "secure")]
 pub mod fleet;
 pub mod in_process;
+pub mod maintenance_job;
 mod map_aliases;
 #[cfg(feature = "releases")]
 mod map_difference;

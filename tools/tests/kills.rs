@@ -82,6 +82,15 @@ fn a_killed_extension_leaves_the_old_map_or_the_new_one() {
     kill_a_change(&scratch, "build-map town/live --map hall.db --extend", 5, restore);
 }
 
+#[test]
+fn a_killed_night_leaves_the_old_map_or_the_new_one_and_a_true_ledger() {
+    let scratch = in_town();
+    scratch.run("run town/live --map hall.db --out run --hand-in recorded");
+    let restore = || scratch.copy_map(&town().path("hall.db"), "hall.db");
+    kill_a_change(&scratch, "maintain --map hall.db --inbox recorded", 7, restore);
+    scratch.run("map-info --map hall.db --audit");
+}
+
 #[cfg(feature = "releases")]
 #[test]
 fn a_killed_publication_is_a_release_or_none() {

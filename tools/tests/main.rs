@@ -33,6 +33,8 @@ mod ledger;
 mod links;
 #[cfg(unix)]
 mod live_page;
+#[cfg(all(unix, feature = "releases"))]
+mod maintain;
 #[cfg(feature = "manual")]
 mod manual;
 mod maps;

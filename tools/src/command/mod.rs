@@ -36,6 +36,7 @@ pub mod inspect;
 mod left_out;
 pub mod list_sessions;
 pub mod localize;
+pub mod maintain;
 #[cfg(feature = "manual")]
 pub mod manual;
 pub mod map_info;
@@ -124,6 +125,8 @@ pub enum Command {
     HandIn(hand_in::Args),
     /// List sessions that robots recorded for a map
     ListSessions(list_sessions::Args),
+    /// Keep a map true by the sessions that robots handed in: what is new, what is gone
+    Maintain(Box<maintain::Args>),
     /// Publish a map as a release in an object store, from which map servers take it
     PublishMap(publish_map::Args),
     /// List the releases of a map
@@ -208,6 +211,7 @@ impl Command {
             Self::MergeMaps(args) => merge_maps::run(&args),
             Self::HandIn(args) => hand_in::run(&args),
             Self::ListSessions(args) => list_sessions::run(&args),
+            Self::Maintain(args) => maintain::run(args.as_ref()),
             Self::PublishMap(args) => publish_map::run(&args),
             Self::ListReleases(args) => releases::list(&args),
             Self::DiffReleases(args) => releases::diff(&args),

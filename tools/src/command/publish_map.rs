@@ -9,7 +9,7 @@ use releases::{
     publish,
 };
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -115,6 +115,31 @@ impl VerifyingArgs {
 /// # Errors
 /// A map that cannot be read, a store that cannot be written or has another map, another publisher that was faster.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    print_outcome(&publish_map(args)?, args.json)
+}
+
+/// Publishes a map as a candidate.
+///
+/// # Errors
+/// As of [`run`].
+pub(super) fn propose(
+    map: &Path,
+    to: &str,
+    note: &NoteArgs,
+    signing: &SigningArgs,
+) -> anyhow::Result<Outcome> {
+    publish_map(&Args {
+        map: map.to_owned(),
+        to: to.to_owned(),
+        keyframes_per_cell: PublishOptions::default().keyframes_a_cell as u64,
+        stage: StageArg::Candidate,
+        note: note.clone(),
+        signing: signing.clone(),
+        json: true,
+    })
+}
+
+fn publish_map(args: &Args) -> anyhow::Result<Outcome> {
     let contents = load_map(&args.map)?.contents;
     let mut options = PublishOptions::default();
     options.keyframes_a_cell = usize::try_from(args.keyframes_per_cell)?;
@@ -140,7 +165,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             println!("left out of the release: {part}");
         }
     }
-    print_outcome(&outcome, args.json)
+    Ok(outcome)
 }
 
 /// Prints what became of a release.

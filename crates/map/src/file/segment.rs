@@ -37,7 +37,7 @@ pub(crate) const OF_MAP: &Layout = &Layout {
 };
 
 /// Of a part of a map with a list of existence that is not empty. What has none has the bytes that it always had.
-const OF_MAP_WITH_EXISTENCE: &Layout = &Layout {
+pub(crate) const OF_MAP_WITH_EXISTENCE: &Layout = &Layout {
     magic: b"driftless segment 5\n",
     tables: &[
         Table::Keyframes,

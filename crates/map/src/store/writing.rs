@@ -10,7 +10,7 @@ use super::stored_map::SavedMap;
 use crate::contents::{MapContents, RunningDigest, Sorted};
 use crate::file::manifest::{AddedSegments, Manifest};
 use crate::file::record::Element;
-use crate::file::segment::{Layout, OF_IMAGES, OF_MAP, SegmentName, SegmentWriter};
+use crate::file::segment::{Layout, OF_IMAGES, OF_MAP_WITH_EXISTENCE, SegmentName, SegmentWriter};
 use crate::model::MapMetadata;
 use protocol::MapIdentity;
 
@@ -158,8 +158,8 @@ impl VersionWriter {
         Ok(VersionWriter {
             path: path.to_owned(),
             file: created.map_err(|source| of_file(path, source))?,
-            segment: SegmentWriter::new(OF_MAP),
-            layout: OF_MAP,
+            segment: SegmentWriter::new(OF_MAP_WITH_EXISTENCE),
+            layout: OF_MAP_WITH_EXISTENCE,
             most_bytes: SEGMENT_BYTES,
             segments: Vec::new(),
             digest: RunningDigest::new(info),

@@ -1,0 +1,259 @@
+//! `driftless maintain`: keeps a map true by the sessions that robots have handed in.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, ensure};
+use maintenance::Settings;
+use map::store::{MapTarget, load_map};
+use mapping::Stage;
+
+#[cfg(feature = "releases")]
+use releases::Outcome;
+
+use super::build_report::print_left_out;
+use crate::maintenance_job::{JobReport, RefusedSession, TakenSession, Watch, maintain};
+use crate::stage_bar::StageBar;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    driftless maintain --map hall.db --inbox inbox --dry-run\n  \
+    driftless maintain --map hall.db --inbox inbox --report night.json\n  \
+    driftless maintain --map hall.db monday.session tuesday.session --half-life 30\n  \
+    driftless maintain --map hall.db --inbox inbox --to s3://bucket/hall    (needs the feature releases)\n\n\
+    Sessions are taken once, the oldest first. Each is located in the map, whose poses stay as they are. One that was handed in before,\n\
+    is of another place, contradicts the map (a wrong calibration) or cannot be read is refused, with the reason, and the others are\n\
+    taken. What a session should have seen and did not becomes less likely to be there; landmarks that are gone and keyframes that\n\
+    show too little of what is left are taken out, and a place keeps a bounded number of keyframes of each appearance.\n\n\
+    All of it becomes one new version of DB, in one step. A run that finds nothing new writes nothing. A session that is refused is\n\
+    looked at again in the next run: the map may have grown to its place. Remove its file to be rid of it.")]
+pub struct Args {
+    /// Session files, or folders of them
+    #[arg(value_name = "FILE|DIR", required_unless_present = "inbox")]
+    sessions: Vec<PathBuf>,
+    /// Database of the map
+    #[arg(long, value_name = "DB")]
+    map: PathBuf,
+    /// The inbox of a map server, with the sessions of its robots
+    #[arg(long, value_name = "DIR")]
+    inbox: Option<PathBuf>,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    #[cfg(feature = "releases")]
+    #[command(flatten)]
+    publishing: PublishingArgs,
+    /// Say what would be done, and write nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Write what was done to a file, as JSON, with the positions of what is gone
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Print what was done as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// How long landmarks are believed in, and how much of a place is kept.
+#[derive(Clone, Debug, clap::Args)]
+struct SettingsArgs {
+    /// Time in which what is known of a landmark that nobody passes becomes half as certain
+    #[arg(long, value_name = "DAYS", default_value_t = Settings::default().half_life_days)]
+    half_life: f64,
+    /// Take out landmarks that are there with a smaller probability
+    #[arg(long, value_name = "P", default_value_t = Settings::default().min_existence)]
+    min_existence: f64,
+    /// Keyframes of one appearance that a place keeps
+    #[arg(long, value_name = "N", default_value_t = Settings::default().keyframes_a_place as u64, value_parser = clap::value_parser!(u64).range(1..))]
+    keyframes_per_place: u64,
+    /// Appearances that a place keeps, such as day and night
+    #[arg(long, value_name = "N", default_value_t = Settings::default().appearances_a_place as u64, value_parser = clap::value_parser!(u64).range(1..))]
+    appearances_per_place: u64,
+    /// Side of a place
+    #[arg(long, value_name = "M", default_value_t = Settings::default().place_m)]
+    place_m: f64,
+    /// Headings of a place
+    #[arg(long, value_name = "DEG", default_value_t = Settings::default().place_rad.to_degrees())]
+    place_deg: f64,
+    /// Take out an appearance that nobody has seen for so many half-lives, where another one of its place was seen
+    #[arg(long, value_name = "N", default_value_t = Settings::default().unused_half_lives)]
+    unused_half_lives: f64,
+    /// Refuse a session that the map bends by more: ratio of the chi-square to its degrees of freedom
+    #[arg(long, value_name = "RATIO", default_value_t = Settings::default().max_map_ratio)]
+    max_map_ratio: f64,
+}
+
+impl SettingsArgs {
+    fn read(&self) -> Result<Settings> {
+        let positive = [
+            ("--half-life", self.half_life),
+            ("--place-m", self.place_m),
+            ("--place-deg", self.place_deg),
+            ("--unused-half-lives", self.unused_half_lives),
+            ("--max-map-ratio", self.max_map_ratio),
+        ];
+        for (switch, value) in positive {
+            ensure!(value.is_finite() && value > 0.0, "{switch} {value}: give a positive number");
+        }
+        let probability = self.min_existence;
+        ensure!(
+            probability > 0.0 && probability < 0.5,
+            "--min-existence {probability}: give a probability below 0.5, which is that of a landmark of which nothing is known"
+        );
+        let mut settings = Settings::default();
+        settings.half_life_days = self.half_life;
+        settings.min_existence = probability;
+        settings.keyframes_a_place = usize::try_from(self.keyframes_per_place)?;
+        settings.appearances_a_place = usize::try_from(self.appearances_per_place)?;
+        settings.place_m = self.place_m;
+        settings.place_rad = self.place_deg.to_radians();
+        settings.unused_half_lives = self.unused_half_lives;
+        settings.max_map_ratio = self.max_map_ratio;
+        Ok(settings)
+    }
+}
+
+/// Where the new version is proposed.
+#[cfg(feature = "releases")]
+#[derive(Clone, Debug, clap::Args)]
+struct PublishingArgs {
+    /// Publish the new version as a candidate: a folder, file:///..., s3://..., gs://..., az://...
+    #[arg(long, value_name = "URL", conflicts_with = "dry_run")]
+    to: Option<String>,
+    #[command(flatten)]
+    note: super::publish_map::NoteArgs,
+    #[command(flatten)]
+    signing: super::publish_map::SigningArgs,
+}
+
+#[cfg(feature = "releases")]
+impl PublishingArgs {
+    /// Publishes the version that was written as a candidate, where one was and it is wanted.
+    fn propose(&self, map: &Path, report: &mut JobReport) -> Result<Option<Outcome>> {
+        let Some(to) = self.to.as_ref().filter(|_| report.version.is_some()) else { return Ok(None) };
+        let outcome = super::publish_map::propose(map, to, &self.note, &self.signing)?;
+        report.candidate = match &outcome {
+            Outcome::Published(published) => Some(published.release.number),
+            Outcome::Unchanged { .. } => None,
+        };
+        Ok(Some(outcome))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A map or a path that cannot be read, a map that cannot be written or was changed meanwhile. A session that is refused is none.
+pub fn run(args: &Args) -> Result<()> {
+    let settings = args.settings.read()?;
+    let target = MapTarget::new(&args.map, true)?;
+    let stored = load_map(&args.map)?.contents;
+    let paths: Vec<PathBuf> = args.sessions.iter().chain(&args.inbox).cloned().collect();
+    let mut lines = Lines { is_quiet: args.json, work: None };
+    let (contents, mut report) = maintain(&stored, &paths, &settings, &mut lines)?;
+    if !args.dry_run && !report.taken.is_empty() {
+        report.version = Some(target.save(&contents)?.version);
+    }
+    #[cfg(feature = "releases")]
+    let candidate = args.publishing.propose(&args.map, &mut report)?;
+    let text = serde_json::to_string_pretty(&report)?;
+    if let Some(file) = &args.report {
+        files::write_whole(file, text.as_bytes())
+            .with_context(|| format!("{} cannot be written", file.display()))?;
+    }
+    if args.json {
+        println!("{text}");
+    } else {
+        print(args, &report);
+        print_left_out(Some(&stored).filter(|_| !report.taken.is_empty()));
+    }
+    #[cfg(feature = "releases")]
+    if let Some(candidate) = candidate.filter(|_| !args.json) {
+        super::publish_map::print_outcome(&candidate, false)?;
+    }
+    Ok(())
+}
+
+fn print(args: &Args, report: &JobReport) {
+    let JobReport { taken, refused, known, before, after, version, .. } = report;
+    println!(
+        "sessions   {} taken, {} refused, {} in the map before",
+        taken.len(),
+        refused.len(),
+        known.len()
+    );
+    println!("keyframes  {} -> {}", before.keyframes, after.keyframes);
+    println!("landmarks  {} -> {}", before.landmarks, after.landmarks);
+    match version {
+        Some(version) => println!("{}: version {version}", args.map.display()),
+        None if taken.is_empty() => println!("nothing is new: nothing was written"),
+        None => println!("nothing was written"),
+    }
+}
+
+/// A line for each session, and a bar while it is worked on.
+struct Lines {
+    is_quiet: bool,
+    work: Option<Work>,
+}
+
+/// The work on one session.
+struct Work {
+    bar: StageBar,
+    begin: Instant,
+}
+
+impl Lines {
+    /// Ends the work on a session.
+    ///
+    /// # Returns
+    /// How long it took (s).
+    fn end(&mut self) -> f64 {
+        self.work.take().map_or(0.0, |work| {
+            work.bar.finish();
+            work.begin.elapsed().as_secs_f64()
+        })
+    }
+}
+
+impl Watch for Lines {
+    fn begin(&mut self, file: &Path, number: usize, of: usize) {
+        if !self.is_quiet {
+            println!("{} ({number} of {of})", file.display());
+        }
+        self.work = Some(Work { bar: StageBar::new(self.is_quiet), begin: Instant::now() });
+    }
+
+    fn progress(&mut self, stage: Stage, done: usize, all: usize) {
+        if let Some(work) = &mut self.work {
+            work.bar.show(stage, done, all);
+        }
+    }
+
+    fn taken(&mut self, session: &TakenSession) {
+        let seconds = self.end();
+        if self.is_quiet {
+            return;
+        }
+        let of = &session.report;
+        println!(
+            "  taken, by {}: {} of {} keyframes kept",
+            session.robot, of.kept_keyframes, of.session_keyframes
+        );
+        println!("  landmarks  {} seen, {} missed, {} gone", of.seen, of.missed, of.gone_m.len());
+        let removed = &of.removed;
+        println!(
+            "  keyframes  {} taken out because what they show is gone, {} replaced, {} unused",
+            removed.gone, removed.replaced, removed.unused
+        );
+        println!("  agrees with the map: ratio {:.2} (1 is as stated); {seconds:.1} s", of.map_ratio);
+    }
+
+    fn refused(&mut self, session: &RefusedSession) {
+        self.end();
+        // Who reads the standard output of a night's job by a program has it in the report.
+        if !self.is_quiet {
+            println!("  refused ({}): {}: {}", session.kind, session.file.display(), session.reason);
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! A night's job on the sessions that robots handed in, run as a program.
+
+use std::process::Stdio;
+
+use serde_json::Value;
+
+use crate::scratch::{Scratch, in_town};
+
+fn json_of(scratch: &Scratch, line: &str) -> Value {
+    let ended = scratch.command(&format!("{line} --json")).stdout(Stdio::piped()).output().unwrap();
+    assert!(ended.status.success(), "{line}: {}", String::from_utf8_lossy(&ended.stderr));
+    serde_json::from_slice(&ended.stdout).unwrap()
+}
+
+fn kinds(report: &Value) -> Vec<&str> {
+    report["refused"].as_array().unwrap().iter().map(|refused| refused["kind"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn sessions_are_taken_once_and_bad_ones_are_named() {
+    let scratch = in_town();
+    scratch.run("run town/live --map hall.db --out run --robot ada --hand-in recorded");
+    // A robot in another town that believes that it is in this one.
+    scratch.run("simulate --out village --seed 77 --duration 12");
+    scratch.run("run village/live --map hall.db --out lost --robot eve --hand-in recorded");
+    std::fs::write(scratch.path("recorded/broken.session"), "not a session").unwrap();
+
+    let before = json_of(&scratch, "map-info --map hall.db");
+    let planned = json_of(&scratch, "maintain --map hall.db --inbox recorded --dry-run");
+    assert_eq!(json_of(&scratch, "map-info --map hall.db"), before);
+    let report = json_of(&scratch, "maintain --map hall.db --inbox recorded --report night.json");
+    for of_run in [&planned, &report] {
+        let mut refused = kinds(of_run);
+        refused.sort_unstable();
+        assert_eq!(refused, ["other-place", "unreadable"], "{of_run:#}");
+        assert_eq!(of_run["taken"].as_array().unwrap().len(), 1);
+    }
+    assert_eq!((&planned["version"], &report["version"]), (&Value::Null, &serde_json::json!(2)));
+    assert_eq!((&planned["after"], &planned["taken"]), (&report["after"], &report["taken"]));
+    let broken = report["refused"].as_array().unwrap().iter().find(|refused| refused["kind"] == "unreadable");
+    assert!(broken.unwrap()["file"].as_str().unwrap().ends_with("broken.session"), "{broken:?}");
+    let written: Value = serde_json::from_slice(&std::fs::read(scratch.path("night.json")).unwrap()).unwrap();
+    assert_eq!(written, report);
+    let taken = &report["taken"][0];
+    assert_eq!(taken["robot"], "ada");
+    assert!(taken["report"]["seen"].as_u64().unwrap() > 50, "{taken:#}");
+
+    let after = json_of(&scratch, "map-info --map hall.db --audit");
+    assert_eq!(after["ledger_problems"], serde_json::json!([]));
+    assert_eq!(after["sessions"][1]["id"], taken["id"]);
+    // The town has not changed.
+    assert_eq!(taken["report"]["gone_m"], serde_json::json!([]), "{taken:#}");
+
+    // The same again, and another copy of what was taken: nothing is new.
+    let file = taken["file"].as_str().unwrap();
+    std::fs::copy(scratch.path(file), scratch.path("copy.session")).unwrap();
+    let again = json_of(&scratch, "maintain --map hall.db copy.session --inbox recorded");
+    assert_eq!((&again["version"], again["taken"].as_array().unwrap().len()), (&Value::Null, 0));
+    assert_eq!(again["known"].as_array().unwrap().len(), 2);
+    assert_eq!(json_of(&scratch, "map-info --map hall.db --audit"), after);
+
+    // Two copies at once: one of them is taken.
+    scratch.copy_map(&scratch.path("whole.db"), "hall.db");
+    let twice = json_of(&scratch, &format!("maintain --map hall.db copy.session {file} --to city"));
+    assert_eq!((kinds(&twice), twice["taken"].as_array().unwrap().len()), (vec!["twice"], 1), "{twice:#}");
+    assert_eq!(twice["candidate"], 1);
+    let said = String::from_utf8(
+        scratch.command("list-releases city").stdout(Stdio::piped()).output().unwrap().stdout,
+    );
+    assert!(said.unwrap().contains("candidate"));
+}
+
+#[test]
+fn settings_that_make_no_sense_are_refused() {
+    let scratch = in_town();
+    for (switch, said) in [("--half-life 0", "positive"), ("--min-existence 0.6", "below 0.5")] {
+        let ended = scratch.command(&format!("maintain --map hall.db town {switch}")).output().unwrap();
+        let error = String::from_utf8(ended.stderr).unwrap();
+        assert!(!ended.status.success() && error.contains(said), "{error}");
+    }
+}
