@@ -47,12 +47,13 @@ fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_l
     json_of(&["edit-map", "--map", text(&both), "--to", text(&plain), "--drop-images"]);
     let without = info(&plain);
     assert_eq!((&without["schema"], &without["images"]["count"]), (&map::STORE_SCHEMA.into(), &0.into()));
-    let refused = complaint_of(&["add-features", text(&plain), "--features", "edgepoint2"]);
+    let refused = complaint_of(&["add-features", "--map", text(&plain), "--features", "edgepoint2"]);
     assert!(refused.contains("--keep-images"), "{refused}");
-    let refused = complaint_of(&["add-features", text(&both), "--features", "sift-1"]);
+    let refused = complaint_of(&["add-features", "--map", text(&both), "--features", "sift-1"]);
     assert!(refused.contains("nothing to add"), "{refused}");
 
-    let added = json_of(&[&["add-features", text(&both), "--features", "edgepoint2"], &few[..]].concat());
+    let added =
+        json_of(&[&["add-features", "--map", text(&both), "--features", "edgepoint2"], &few[..]].concat());
     println!("{added:#}");
     assert_eq!(added["version"], 2);
     let after = info(&both);
@@ -61,7 +62,7 @@ fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_l
     assert_eq!((&kinds[0]["extractor"], &kinds[1]["extractor"]), (&"sift-1".into(), &"edgepoint2-1".into()));
     assert_eq!((&kinds[0], &after["sigma_p_m"]), (&before["feature_kinds"][0], &before["sigma_p_m"]));
     assert!(kinds[1]["landmarks"].as_u64().unwrap() > 200, "{after:#}");
-    let refused = complaint_of(&["add-features", text(&both), "--features", "edgepoint2"]);
+    let refused = complaint_of(&["add-features", "--map", text(&both), "--features", "edgepoint2"]);
     assert!(refused.contains("--force"), "{refused}");
 
     let live = room.join("live");

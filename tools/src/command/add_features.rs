@@ -14,14 +14,14 @@ use crate::stage_bar::StageBar;
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     driftless build-map my_run --map my.db --keep-images\n  \
-    driftless add-features my.db --features edgepoint2-1\n  \
-    driftless add-features my.db --features xfeat-1 --to my_with_xfeat.db\n\n\
+    driftless add-features --map my.db --features edgepoint2-1\n  \
+    driftless add-features --map my.db --features xfeat-1 --to my_with_xfeat.db\n\n\
     The features are triangulated from the map's keyframes, whose poses and covariances stay as they are: robots stay\n\
     localized. DB becomes its next version, and a server is told as after a build. A server answers a query with the kind\n\
     of features that it has. `driftless edit-map --drop-images` then takes the images out, `--drop-features` a kind.")]
 pub struct Args {
     /// Database of the map
-    #[arg(value_name = "DB")]
+    #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// Extractor: sift-1, edgepoint2-1, or one with weights to fetch (see `driftless weights`); without its version, edgepoint2, the
     /// newest one
