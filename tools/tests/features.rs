@@ -1,29 +1,8 @@
 //! Several kinds of features in one map, with the programs: images are kept, features are added, robots with either kind are localized.
 
 use std::path::Path;
-use std::process::{Command, Output};
 
-use serde_json::Value;
-
-fn driftless(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_driftless")).args(arguments).output().unwrap()
-}
-
-fn json_of(arguments: &[&str]) -> Value {
-    let output = driftless(&[arguments, &["--json"]].concat());
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-fn complaint_of(arguments: &[&str]) -> String {
-    let output = driftless(arguments);
-    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
-    String::from_utf8(output.stderr).unwrap()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use crate::program::{complaint_of, json_of, text};
 
 #[test]
 fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_localized() {

@@ -41,6 +41,7 @@ mod maps;
 mod old_spellings;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod printed;
+mod program;
 mod rendered_images;
 #[cfg(all(unix, feature = "releases"))]
 mod review;

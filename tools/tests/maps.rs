@@ -1,33 +1,11 @@
 //! The commands about maps, run as programs.
 
 use std::path::Path;
-use std::process::{Command, Output};
 
 use map_io::text::write_map;
-use serde_json::Value;
 use testing::{Place, PlaceOptions};
 
-fn driftless(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_driftless")).args(arguments).output().unwrap()
-}
-
-/// What a command that succeeds prints as JSON.
-fn json_of(arguments: &[&str]) -> Value {
-    let output = driftless(&[arguments, &["--json"]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-/// Standard error of a command that fails.
-fn complaint_of(arguments: &[&str]) -> String {
-    let output = driftless(arguments);
-    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
-    String::from_utf8(output.stderr).unwrap()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use crate::program::{complaint_of, driftless, json_of, text};
 
 fn text_map(folder: &Path, seed: u64) {
     let options = PlaceOptions { seed, keyframes: 5, landmarks: 100, ..PlaceOptions::default() };
