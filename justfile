@@ -70,7 +70,7 @@ test:
     threads="${RUST_TEST_THREADS:-$((2 * {{ num_cpus() }}))}"
     if cargo nextest --version > /dev/null 2>&1; then
         cargo nextest run --workspace --locked --no-fail-fast --test-threads "$((5 * threads / 2))"
-        cargo test --workspace --locked --doc
+        cargo test --workspace --locked --doc --no-fail-fast
     else
         RUST_TEST_THREADS="$threads" cargo test --workspace --locked
     fi

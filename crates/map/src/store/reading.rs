@@ -62,7 +62,7 @@ pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
 /// store::save_map(&path, &contents, false)?;
 /// let (stored, mut landmarks) = store::open_map(&path)?;
 /// let mut count = 0;
-/// landmarks.read(|_| count += 1)?;
+/// landmarks.read(0, |_| count += 1)?;
 /// assert_eq!((stored.contents.keyframes.len(), count), (0, 0));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
