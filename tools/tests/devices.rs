@@ -20,7 +20,7 @@ use simulation::images::{ImageOptions, render_all, simulate_images};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 use vision::GrayImage;
 
 /// How long the bags are, seconds, and their images a second.
@@ -30,19 +30,13 @@ const RATE_HZ: f64 = 15.0;
 const LATE_NS: i64 = 12_000_000;
 
 /// The flight, with its images in memory.
-fn flight() -> &'static Sequence {
-    static FLIGHT: OnceLock<Sequence> = OnceLock::new();
-    FLIGHT.get_or_init(|| {
-        let options = SimulationOptions {
-            duration_s: Some(SECONDS),
-            frame_rate_hz: RATE_HZ,
-            ..ImageOptions::simulation()
-        };
-        let mut live = simulate_images(&options, &ImageOptions::default()).unwrap().live;
-        render_all(&mut live, |_, _| {}).unwrap();
-        live
-    })
-}
+static FLIGHT: LazyLock<Sequence> = LazyLock::new(|| {
+    let options =
+        SimulationOptions { duration_s: Some(SECONDS), frame_rate_hz: RATE_HZ, ..ImageOptions::simulation() };
+    let mut live = simulate_images(&options, &ImageOptions::default()).unwrap().live;
+    render_all(&mut live, |_, _| {}).unwrap();
+    live
+});
 
 /// A camera without distortion, as rectified images have it.
 fn rectified() -> Camera {
@@ -172,7 +166,7 @@ fn optical() -> Rotation {
 
 impl StereoDriver {
     fn record(&self, path: &Path) {
-        let flight = flight();
+        let flight = &*FLIGHT;
         let mut messages = Messages::default();
         let start_ns = flight.imu_samples[0].stamp_ns;
         let stamp = Time::from_nanoseconds(start_ns).unwrap();
@@ -252,7 +246,7 @@ impl StereoDriver {
 
 /// A camera that nobody triggers: JPEG, late by some milliseconds, without projection and transforms.
 fn record_usb_camera(path: &Path) {
-    let flight = flight();
+    let flight = &*FLIGHT;
     let mut messages = Messages::default();
     for sample in &flight.imu_samples {
         messages.imu(("/imu/data", "imu_link"), sample, &Rotation::identity(), [true, true]);
@@ -322,24 +316,13 @@ fn run_page(page: &str, bags: &[Bag<'_>]) {
     assert_eq!(runs, bags.len(), "{page} runs each of its bags");
 }
 
+/// One test, since all bags are of one flight, which takes longer to render than a page to run.
 #[test]
-fn realsense_runs_as_it_is_printed() {
-    let bags: [Bag<'_>; 2] =
+fn the_pages_of_all_devices_run_as_they_are_printed() {
+    let realsense: [Bag<'_>; 2] =
         [("d435i.mcap", &|path| D435I.record(path)), ("d455.mcap", &|path| D455.record(path))];
-    run_page("docs/src/devices/realsense.md", &bags);
-}
-
-#[test]
-fn oak_d_runs_as_it_is_printed() {
+    run_page("docs/src/devices/realsense.md", &realsense);
     run_page("docs/src/devices/oak-d.md", &[("oak.mcap", &|path| OAK.record(path))]);
-}
-
-#[test]
-fn zed_runs_as_it_is_printed() {
     run_page("docs/src/devices/zed.md", &[("zed.mcap", &|path| ZED.record(path))]);
-}
-
-#[test]
-fn a_usb_camera_runs_as_it_is_printed() {
     run_page("docs/src/devices/usb-camera.md", &[("usb.mcap", &|path| record_usb_camera(path))]);
 }

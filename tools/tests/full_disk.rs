@@ -12,7 +12,7 @@ use crate::scratch::{Scratch, in_town, place, town};
 /// Exit status of a script where no disk could be made.
 const NO_DISK: i32 = 77;
 /// Free space that is tried, kB.
-const FREE_KB: [usize; 6] = [0, 4, 16, 64, 256, 1024];
+const FREE_KB: [usize; 4] = [0, 8, 64, 1024];
 
 /// What a command does on a full disk.
 struct Tried {

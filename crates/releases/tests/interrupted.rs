@@ -4,6 +4,7 @@ use map::MapContents;
 use releases::{Outcome, PublishOptions, ReleaseStore, fetch, publish};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 use std::time::Duration;
 use testing::{Place, PlaceOptions};
 
@@ -11,8 +12,12 @@ const CHILD_STORE: &str = "RELEASES_TEST_CHILD";
 
 /// A version of a map; the second differs from the first in all of its cells.
 fn version(number: u64) -> MapContents {
-    let mut map = Place::new(&PlaceOptions { landmarks: 3000, ..PlaceOptions::default() }).map;
-    map.sort();
+    static FIRST: LazyLock<MapContents> = LazyLock::new(|| {
+        let mut map = Place::new(&PlaceOptions { landmarks: 3000, ..PlaceOptions::default() }).map;
+        map.sort();
+        map
+    });
+    let mut map = FIRST.clone();
     map.info.version = number;
     for keyframe in &mut map.keyframes {
         keyframe.stamp_ns += number as i64;

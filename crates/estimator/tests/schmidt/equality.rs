@@ -7,7 +7,7 @@ use estimator::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
-const STEPS: usize = 2_000;
+const STEPS: usize = 1_000;
 /// Relative, everywhere.
 const TOLERANCE: f64 = 1e-9;
 /// Rows of a measurement, at least.
