@@ -1,18 +1,20 @@
 //! A map cut into cells, and put together again.
 //!
-//! Everything is in exactly one cell: a keyframe in that of its position with its common error and its aliases, a landmark in that of its
-//! anchor with what is known of its existence, a cross-covariance in that of its first keyframe. So nothing is sent twice, and nothing is lost.
+//! Everything is in exactly one cell: a keyframe in that of its position with its common error, its aliases and its image, a landmark of
+//! any kind in that of its anchor with what is known of its existence, a cross-covariance in that of its first keyframe. So nothing is
+//! sent twice, and nothing is lost.
 //!
 //! Beside it a cell has a *border*, what an answer of this cell needs of others: the landmarks that its keyframes observe, the
 //! keyframes that observe one of these, and the cross-covariances of its own keyframes and of those of the border with all
 //! others, and their common errors. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
+//! Features of added kinds have no border: a cell by itself is served with the primary kind.
 
 use crate::partition::{CellId, Partition};
 use map::difference::Compared;
 use map::file::{Segment, SegmentWriter};
 use map::{
-    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
-    MapContents, MapMetadata, RecordError,
+    AddedFeatures, CommonError, FeatureKind, KeptImage, Keyframe, KeyframeAliases, KeyframeCrossCovariance,
+    Landmark, LandmarkExistence, MapContents, MapMetadata, RecordError,
 };
 use protocol::{KeyframeId, LandmarkId};
 use std::borrow::Cow;
@@ -57,6 +59,40 @@ impl<'a> CellView<'a> {
 pub(crate) struct BorderedCell<'a> {
     pub(crate) own: CellView<'a>,
     pub(crate) border: CellView<'a>,
+    /// Its landmarks of the added kinds of features, by kind.
+    pub(crate) added: Vec<Vec<&'a Landmark>>,
+    /// Images of its keyframes.
+    pub(crate) images: Vec<&'a KeptImage>,
+}
+
+impl BorderedCell<'_> {
+    /// The segments of the added kinds of features, one each.
+    pub(crate) fn encode_added(&self) -> Result<Vec<Vec<u8>>, RecordError> {
+        let encode = |landmarks: &Vec<&Landmark>| {
+            let mut segment = SegmentWriter::default();
+            landmarks.iter().try_for_each(|landmark| segment.add(*landmark).map(drop))?;
+            Ok(segment.finish())
+        };
+        self.added.iter().map(encode).collect()
+    }
+
+    /// The segment of its images; `None` where it has none.
+    pub(crate) fn encode_images(&self) -> Result<Option<Vec<u8>>, RecordError> {
+        if self.images.is_empty() {
+            return Ok(None);
+        }
+        let mut segment = SegmentWriter::of_images();
+        self.images.iter().try_for_each(|image| segment.add(*image).map(drop))?;
+        Ok(Some(segment.finish()))
+    }
+}
+
+/// A cell as it is put together again, without its border.
+pub(crate) struct JoinedCell {
+    pub(crate) segment: Segment,
+    /// As [`BorderedCell::added`].
+    pub(crate) added: Vec<Vec<Landmark>>,
+    pub(crate) images: Vec<KeptImage>,
 }
 
 /// Cuts a valid, sorted map into cells, those without a keyframe left out.
@@ -70,6 +106,21 @@ pub(crate) fn split<'a>(
         let cell = partition.cell_of(&keyframe.global_from_keyframe.pose.translation);
         cell_of.insert(keyframe.id, cell);
         cells.entry(cell).or_default().own.keyframes.push(Cow::Borrowed(keyframe));
+    }
+    for part in cells.values_mut() {
+        part.added = vec![Vec::new(); contents.added_features.len()];
+    }
+    for (kind, added) in contents.added_features.iter().enumerate() {
+        for landmark in &added.landmarks {
+            if let Some(part) = cell_of.get(&landmark.anchor).and_then(|cell| cells.get_mut(cell)) {
+                part.added[kind].push(landmark);
+            }
+        }
+    }
+    for image in &contents.images {
+        if let Some(part) = cell_of.get(&image.keyframe).and_then(|cell| cells.get_mut(cell)) {
+            part.images.push(image);
+        }
     }
     let borders = add_landmarks(contents, &cell_of, &mut cells);
     for keyframe in &contents.keyframes {
@@ -151,9 +202,22 @@ fn without_features(keyframe: &Keyframe) -> Keyframe {
 }
 
 /// Puts a map together.
-pub(crate) fn join(info: MapMetadata, cells: impl IntoIterator<Item = Segment>) -> MapContents {
+///
+/// # Arguments
+/// * `added_kinds`: of the landmarks of each cell, in their order.
+pub(crate) fn join(
+    info: MapMetadata,
+    added_kinds: &[FeatureKind],
+    cells: impl IntoIterator<Item = JoinedCell>,
+) -> MapContents {
     let mut contents = MapContents::empty(info);
-    for cell in cells {
+    let of_kind = |kind: &FeatureKind| AddedFeatures { kind: kind.clone(), landmarks: Vec::new() };
+    contents.added_features = added_kinds.iter().map(of_kind).collect();
+    for JoinedCell { segment: cell, added, images } in cells {
+        for (of_kind, landmarks) in contents.added_features.iter_mut().zip(added) {
+            of_kind.landmarks.extend(landmarks);
+        }
+        contents.images.extend(images);
         contents.keyframes.extend(cell.keyframes);
         contents.landmarks.extend(cell.landmarks);
         contents.cross_covariances.extend(cell.cross_covariances);

@@ -1,7 +1,7 @@
 //! What can be wrong with an object of a store.
 
 use crate::partition::{CellId, PartitionError};
-use crate::release::{OLDEST_RELEASE_SCHEMA, RELEASE_SCHEMA};
+use crate::release::{EXTENDED_RELEASE_SCHEMA, OLDEST_RELEASE_SCHEMA};
 use crate::stage::Stage;
 use protocol::MapIdentity;
 
@@ -14,11 +14,27 @@ pub enum Damage {
     Json(#[from] serde_json::Error),
     /// A release of another layout.
     #[error(
-        "it has schema {found}, this program reads {OLDEST_RELEASE_SCHEMA} to {RELEASE_SCHEMA}: publish the map to another place"
+        "it has schema {found}, this program reads {OLDEST_RELEASE_SCHEMA} to {EXTENDED_RELEASE_SCHEMA}: publish the map to another place"
     )]
     Schema {
         /// Its schema, 0 for none.
         found: u64,
+    },
+    /// Fields of one layout under the number of another.
+    #[error("it has not the fields of schema {schema}")]
+    Fields {
+        /// The schema that it states.
+        schema: u16,
+    },
+    /// A cell has not one segment for each added kind of features.
+    #[error("cell {cell} has {found} segments of added features, the release has {stated} kinds of them")]
+    AddedKinds {
+        /// The cell.
+        cell: CellId,
+        /// Segments that it names.
+        found: usize,
+        /// Kinds of the release.
+        stated: usize,
     },
     /// The file of a release has the name of another one.
     #[error("it says that it is release {0}")]

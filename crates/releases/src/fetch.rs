@@ -1,15 +1,15 @@
 //! The map of a release, or some of its cells.
 
 use crate::cache::ReleaseCache;
-use crate::cells::join;
+use crate::cells::{JoinedCell, join};
 use crate::coarse::CoarseCell;
 use crate::damage::Damage;
 use crate::error::ReleaseError;
 use crate::partition::CellId;
-use crate::release::Release;
+use crate::release::{Release, ReleasedCell};
 use crate::store::ReleaseStore;
 use bytes::Bytes;
-use map::file::{Segment, SegmentError, SegmentName};
+use map::file::{Segment, SegmentError, SegmentName, decode_images};
 use map::{KeyframeAliases, KeyframeCrossCovariance, MapContents, MapMetadata};
 use protocol::KeyframeId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,9 +29,9 @@ pub async fn fetch(
 ) -> Result<MapContents, ReleaseError> {
     let mut cells = Vec::with_capacity(release.cells.len());
     for cell in &release.cells {
-        cells.push(cell_contents(store, &cell.segment, cache).await?);
+        cells.push(whole_cell(store, cell, cache).await?);
     }
-    let contents = join(release.map.clone(), cells);
+    let contents = join(release.map.clone(), &release.added_kinds, cells);
     let digest = contents.digest();
     if digest != release.digest {
         let damage = Damage::Digest { found: digest, stated: release.digest };
@@ -40,7 +40,27 @@ pub async fn fetch(
     Ok(contents)
 }
 
-/// A cell that can be served without the others.
+/// What the whole map has in a cell.
+async fn whole_cell(
+    store: &ReleaseStore,
+    cell: &ReleasedCell,
+    cache: Option<&ReleaseCache>,
+) -> Result<JoinedCell, ReleaseError> {
+    let mut added = Vec::with_capacity(cell.added_features.len());
+    for name in &cell.added_features {
+        added.push(cell_contents(store, name, cache).await?.landmarks);
+    }
+    let images = match &cell.images {
+        Some(name) => {
+            let bytes = segment(store, name, cache).await?;
+            decode_images(&bytes).map_err(|source| unreadable(store, name, source))?
+        }
+        None => Vec::new(),
+    };
+    Ok(JoinedCell { segment: cell_contents(store, &cell.segment, cache).await?, added, images })
+}
+
+/// A cell that can be served without the others, with features of the primary kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cell {
     /// The cell's keyframes, ascending.
@@ -76,7 +96,9 @@ pub async fn fetch_cell(
     let border = cell_contents(store, &serving.border, cache).await?;
     let own = inside.keyframes.iter().map(|keyframe| keyframe.id).collect();
     // A server has many cells in memory, and the ledger of a city is long.
-    let mut contents = join(MapMetadata { sessions: Vec::new(), ..release.map.clone() }, [inside, border]);
+    let info = MapMetadata { sessions: Vec::new(), ..release.map.clone() };
+    let parts = [inside, border].map(|segment| JoinedCell { segment, added: vec![], images: vec![] });
+    let mut contents = join(info, &[], parts);
     contents.take_sessions_of(&release.map);
     let known: BTreeSet<KeyframeId> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let is_near = |cross: &KeyframeCrossCovariance| known.contains(&cross.a) && known.contains(&cross.b);

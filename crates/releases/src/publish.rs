@@ -6,7 +6,7 @@ use crate::change::{change_back, change_since};
 use crate::cleaning::ensure_kept;
 use crate::coarse::CoarseCell;
 use crate::error::ReleaseError;
-use crate::partition::{CellId, Partition};
+use crate::partition::Partition;
 use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ServedCell};
 use crate::stage::{Note, Stage};
 use crate::store::ReleaseStore;
@@ -70,8 +70,8 @@ pub struct Published {
 
 /// Publishes a map as the next release, or as a candidate for it.
 ///
-/// The identity of the first release is that of the map, and stays. Versions grow from release to release. A release has the features of
-/// the primary kind: those of added kinds and the images of keyframes are left out.
+/// The identity of the first release is that of the map, and stays. Versions grow from release to release. Features of added kinds and
+/// the images of keyframes are in segments of their own, which a server of single cells does not fetch.
 ///
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
@@ -83,8 +83,6 @@ pub async fn publish(
     mut progress: impl FnMut(Progress),
 ) -> Result<Outcome, ReleaseError> {
     contents.validate()?;
-    contents.added_features.clear();
-    contents.images.clear();
     contents.sort();
     let former = store.newest().await?;
     let digest = contents.digest();
@@ -114,9 +112,17 @@ pub async fn publish(
     let parts = split(&contents, &partition);
     let of = parts.len();
     let mut cells = Vec::with_capacity(of);
-    for (done, (cell, part)) in parts.iter().enumerate() {
+    for (done, (&cell, part)) in parts.iter().enumerate() {
         progress(Progress { cells: done, of });
         let segment = sending.put(part.own.encode()?).await?;
+        let mut added_features = Vec::with_capacity(part.added.len());
+        for bytes in part.encode_added()? {
+            added_features.push(sending.put(bytes).await?);
+        }
+        let images = match part.encode_images()? {
+            Some(bytes) => Some(sending.put(bytes).await?),
+            None => None,
+        };
         let serving = ServedCell {
             border: sending.put(part.border.encode()?).await?,
             coarse: sending.put(CoarseCell::of(part).encode()?).await?,
@@ -124,7 +130,16 @@ pub async fn publish(
             cross_covariances: part.own.cross_covariances.len(),
             viewing_distance: viewing_distance(&part.own),
         };
-        cells.push(released_cell(*cell, &part.own, segment, serving));
+        cells.push(ReleasedCell {
+            cell,
+            keyframes: part.own.keyframes.len(),
+            landmarks: part.own.landmarks.len(),
+            extent: extent(&part.own),
+            segment,
+            added_features,
+            images,
+            serving,
+        });
     }
     let change = match &former {
         Some(former) => Some(change_since(store, former, &cells, &parts).await),
@@ -138,7 +153,7 @@ pub async fn publish(
         Stage::Candidate => Some(store.candidate_numbers().await?.last().map_or(1, |last| last + 1)),
     };
     let sessions = contents.sessions_to_store();
-    let release = Release {
+    let mut release = Release {
         schema: RELEASE_SCHEMA,
         stage: options.stage,
         candidate,
@@ -149,10 +164,12 @@ pub async fn publish(
         rolled_back_to: None,
         change,
         map: MapMetadata { version, identity: Some(identity), sessions, ..contents.info.clone() },
+        added_kinds: contents.added_features.iter().map(|added| added.kind.clone()).collect(),
         digest,
         partition,
         cells,
     };
+    release.schema = release.schema_needed();
     ensure_kept(store, &release).await?;
     match candidate {
         Some(number) => store.put_candidate(&release, number).await?,
@@ -176,6 +193,7 @@ pub async fn roll_back(store: &ReleaseStore, number: u64, note: &Note) -> Result
     let change = change_back(store, &newest, &former).await;
     let version = next_version(store, Some(&newest)).await?;
     let release = Release {
+        schema: former.schema_needed(),
         number: newest.number + 1,
         candidate: None,
         published_unix_s: now_unix_s(),
@@ -240,24 +258,13 @@ fn viewing_distance(cell: &CellView<'_>) -> f64 {
     *distances.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-fn released_cell(
-    cell: CellId,
-    view: &CellView<'_>,
-    segment: SegmentName,
-    serving: ServedCell,
-) -> ReleasedCell {
-    let positions = || view.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
+/// Smallest and largest coordinates of the keyframes in G, metres.
+fn extent(cell: &CellView<'_>) -> [[f64; 3]; 2] {
+    let positions = || cell.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
     let bound = |start: f64, better: fn(f64, f64) -> f64| {
         std::array::from_fn(|axis| positions().map(|position| position[axis]).fold(start, better))
     };
-    ReleasedCell {
-        cell,
-        keyframes: view.keyframes.len(),
-        landmarks: view.landmarks.len(),
-        extent: [bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max)],
-        segment,
-        serving,
-    }
+    [bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max)]
 }
 
 /// A clock before 1970 gives 0.

@@ -4,15 +4,17 @@ use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::partition::{CellId, Partition};
 use crate::stage::{Note, Stage};
-use map::MapMetadata;
 use map::file::SegmentName;
 use map::sessions::SessionDifference;
+use map::{FeatureKind, MapMetadata};
 use protocol::MapIdentity;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-/// Layout of releases.
+/// Layout of releases of a map that has features of one kind and no images.
 pub const RELEASE_SCHEMA: u16 = 9;
+/// Layout of releases of a map with added features or images, the newest one.
+pub const EXTENDED_RELEASE_SCHEMA: u16 = 10;
 /// The oldest layout that is read: it has no `keyframe_motions`.
 pub const OLDEST_RELEASE_SCHEMA: u16 = 8;
 
@@ -20,7 +22,7 @@ pub const OLDEST_RELEASE_SCHEMA: u16 = 8;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Release {
-    /// Layout of this file, see [`RELEASE_SCHEMA`].
+    /// Layout of this file, see [`RELEASE_SCHEMA`] and [`EXTENDED_RELEASE_SCHEMA`].
     pub schema: u16,
     /// Where it stands. A file that lies elsewhere is refused.
     pub stage: Stage,
@@ -40,6 +42,9 @@ pub struct Release {
     pub change: Option<ReleasedChange>,
     /// What applies to the map as a whole: its version grows from release to release, its identity is the same in all.
     pub map: MapMetadata,
+    /// The kinds of features that were added to the map.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub added_kinds: Vec<FeatureKind>,
     /// Of the map's contents; equal where they are.
     pub digest: MapIdentity,
     /// Which place belongs to which cell.
@@ -62,6 +67,12 @@ pub struct ReleasedCell {
     pub extent: [[f64; 3]; 2],
     /// Where its contents are.
     pub segment: SegmentName,
+    /// Where its landmarks of the added kinds are, one segment for each kind of the release.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub added_features: Vec<SegmentName>,
+    /// Where the images of its keyframes are, if any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub images: Option<SegmentName>,
     /// What it needs to be served by itself.
     pub serving: ServedCell,
 }
@@ -100,9 +111,14 @@ pub struct ReleaseDifference {
 }
 
 impl ReleasedCell {
-    /// Its own segment, and those for serving it by itself.
+    /// All that the whole map has of it.
+    fn own(&self) -> impl Iterator<Item = &SegmentName> {
+        std::iter::once(&self.segment).chain(&self.added_features).chain(&self.images)
+    }
+
+    /// Its own segments, and those for serving it by itself.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
-        [&self.segment, &self.serving.border, &self.serving.coarse].into_iter()
+        self.own().chain([&self.serving.border, &self.serving.coarse])
     }
 }
 
@@ -110,6 +126,12 @@ impl Release {
     /// The identity of the map: what is published states one, and that of a new map is its digest.
     pub fn identity(&self) -> MapIdentity {
         self.map.identity.unwrap_or(self.digest)
+    }
+
+    /// The layout that the release has: programs that know only the first one read releases that need nothing else.
+    pub(crate) fn schema_needed(&self) -> u16 {
+        let has_images = self.cells.iter().any(|cell| cell.images.is_some());
+        if self.added_kinds.is_empty() && !has_images { RELEASE_SCHEMA } else { EXTENDED_RELEASE_SCHEMA }
     }
 
     /// Everything that the release names.
@@ -135,24 +157,26 @@ impl Release {
     /// Bytes of the cells' own segments, which is what a copy of the whole map is fetched from. Borders and coarse landmarks, which
     /// serve a cell by itself, come on top.
     pub fn bytes(&self) -> u64 {
-        self.cells.iter().map(|cell| cell.segment.bytes).fold(0, u64::saturating_add)
+        let own = self.cells.iter().flat_map(ReleasedCell::own);
+        own.map(|segment| segment.bytes).fold(0, u64::saturating_add)
     }
 
     /// What `later` has and this release has not.
     pub fn difference(&self, later: &Self) -> ReleaseDifference {
-        let segments = |release: &Self| -> BTreeMap<CellId, SegmentName> {
-            release.cells.iter().map(|cell| (cell.cell, cell.segment.clone())).collect()
-        };
-        let (before, after) = (segments(self), segments(later));
+        fn by_cell(release: &Release) -> BTreeMap<CellId, Vec<&SegmentName>> {
+            release.cells.iter().map(|cell| (cell.cell, cell.own().collect())).collect()
+        }
+        let (before, after) = (by_cell(self), by_cell(later));
+        let present: BTreeSet<&SegmentName> = before.values().flatten().copied().collect();
         let sessions = SessionDifference::between(&self.map.sessions, &later.map.sessions);
         let mut difference = ReleaseDifference { sessions, ..ReleaseDifference::default() };
-        for (cell, segment) in &after {
+        for (cell, segments) in &after {
             match before.get(cell) {
-                Some(former) if former == segment => difference.unchanged += 1,
+                Some(former) if former == segments => difference.unchanged += 1,
                 Some(_) => difference.changed.push(*cell),
                 None => difference.added.push(*cell),
             }
-            if !before.values().any(|former| former == segment) {
+            for segment in segments.iter().filter(|segment| !present.contains(*segment)) {
                 difference.bytes = difference.bytes.saturating_add(segment.bytes);
             }
         }
@@ -193,10 +217,14 @@ impl Release {
         let value: serde_json::Value = serde_json::from_slice(text)?;
         // Another layout may have other fields.
         let found = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
-        if !(u64::from(OLDEST_RELEASE_SCHEMA)..=u64::from(RELEASE_SCHEMA)).contains(&found) {
+        if !(u64::from(OLDEST_RELEASE_SCHEMA)..=u64::from(EXTENDED_RELEASE_SCHEMA)).contains(&found) {
             return Err(Damage::Schema { found });
         }
         let release: Self = serde_json::from_value(value)?;
+        let is_extended = release.schema_needed() == EXTENDED_RELEASE_SCHEMA;
+        if is_extended != (release.schema == EXTENDED_RELEASE_SCHEMA) {
+            return Err(Damage::Fields { schema: release.schema });
+        }
         for note in [Some(&release.note), release.promotion.as_ref()].into_iter().flatten() {
             note.check().map_err(|(what, at_most)| Damage::Note { what, at_most })?;
         }
@@ -212,6 +240,10 @@ impl Release {
             let cell = released.cell;
             if known.binary_search(&cell).is_err() {
                 return Err(Damage::NoCell(cell));
+            }
+            if released.added_features.len() != release.added_kinds.len() {
+                let (found, stated) = (released.added_features.len(), release.added_kinds.len());
+                return Err(Damage::AddedKinds { cell, found, stated });
             }
             if let Some(segment) = released.segments().find(|segment| !segment.is_valid()) {
                 return Err(Damage::SegmentName { cell, name: segment.sha256.clone() });

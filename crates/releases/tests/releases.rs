@@ -4,7 +4,7 @@ use map::MapContents;
 use map::edit::{keyframes_where, remove_keyframes};
 use releases::{
     CleanOptions, Note, Outcome, PublishOptions, Published, Release, ReleaseCache, ReleaseError,
-    ReleaseStore, ReleasedCell, SegmentName, clean, fetch, publish, roll_back,
+    ReleaseStore, ReleasedCell, SegmentName, clean, fetch, fetch_cell, publish, roll_back,
 };
 #[cfg(feature = "signing")]
 use releases::{ReleaseKey, SigningKey};
@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tempfile::TempDir;
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, add_images, add_second_kind};
 
 struct Scratch {
     folder: TempDir,
@@ -90,6 +90,46 @@ async fn a_map_comes_back_whole() {
 }
 
 #[tokio::test]
+async fn added_features_and_images_come_back_and_are_sent_once() {
+    let scratch = Scratch::new();
+    let plain = place(1);
+    let first = published(&scratch.store, &plain).await;
+    let mut contents = plain.clone();
+    add_second_kind(&mut contents, "other-1");
+    add_images(&mut contents);
+    contents.info.version = 2;
+    let second = published(&scratch.store, &contents).await;
+    let cells = second.release.cells.len();
+    // What the primary kind has is there already, and so is what serves a cell by itself.
+    assert_eq!((first.release.schema, second.release.schema, second.sent), (9, 10, 2 * cells));
+    assert_eq!(second.release.bytes(), first.release.bytes() + second.bytes_sent);
+    assert_eq!(fetch(&scratch.store, &second.release, None).await.unwrap(), contents);
+    let difference = first.release.difference(&second.release);
+    assert_eq!((difference.changed.len(), difference.bytes), (cells, second.bytes_sent));
+    // Nothing of it concerns what a robot holds.
+    let change = second.release.change.as_ref().unwrap();
+    assert!(change.changed.is_empty() && change.moved.is_empty() && change.removed.is_empty(), "{change:?}");
+    // A cell by itself is the one of the map without them.
+    for cell in &second.release.cells {
+        let [former, now] = [&first.release, &second.release]
+            .map(|release| fetch_cell(&scratch.store, release, cell.cell, None));
+        let (former, mut now) = (former.await.unwrap(), now.await.unwrap());
+        now.contents.info.version = former.contents.info.version;
+        assert_eq!(former, now);
+    }
+    // Back to the map without them, and forward again.
+    for (number, map) in [(1, &plain), (2, &contents)] {
+        let Outcome::Published(back) = roll_back(&scratch.store, number, &Note::default()).await.unwrap()
+        else {
+            panic!("release {number} is the newest")
+        };
+        let mut fetched = fetch(&scratch.store, &back.release, None).await.unwrap();
+        fetched.info.version = map.info.version;
+        assert_eq!(fetched, *map);
+    }
+}
+
+#[tokio::test]
 async fn only_cells_that_changed_are_sent() {
     let scratch = Scratch::new();
     let contents = place(2);
@@ -134,7 +174,7 @@ async fn a_rollback_is_a_new_release_with_a_new_version() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_publishers_exactly_one_is_first() {
-    race(&Scratch::new().store).await;
+    race(&Scratch::new().store, 40).await;
 }
 
 /// Against an S3 store, for example moto: `RELEASES_PLACE=s3://bucket/race AWS_ENDPOINT=http://127.0.0.1:5000 AWS_ALLOW_HTTP=true
@@ -143,11 +183,11 @@ async fn of_two_publishers_exactly_one_is_first() {
 #[ignore = "needs an object store in RELEASES_PLACE"]
 async fn of_two_publishers_in_a_cloud_exactly_one_is_first() {
     let place = std::env::var("RELEASES_PLACE").expect("RELEASES_PLACE is not set");
-    race(&ReleaseStore::open(&place).unwrap()).await;
+    race(&ReleaseStore::open(&place).unwrap(), 100).await;
 }
 
-/// Two publishers at once, 100 rounds.
-async fn race(store: &ReleaseStore) {
+/// Two publishers at once, so many rounds.
+async fn race(store: &ReleaseStore, rounds: usize) {
     let contents = place(4);
     let mut versions = vec![contents.clone()];
     for _ in 0..2 {
@@ -155,7 +195,7 @@ async fn race(store: &ReleaseStore) {
     }
     published(store, &contents).await;
     let mut conflicts = 0;
-    for round in 0..100_u64 {
+    for round in 0..rounds {
         let tasks = [1, 2].map(|version| {
             // Both differ from the present release and from each other.
             let (store, mut map) = (store.clone(), versions[version].clone());
@@ -179,8 +219,8 @@ async fn race(store: &ReleaseStore) {
     }
     let numbers = store.numbers().await.unwrap();
     assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>(), "no number is left out");
-    assert_eq!(numbers.len() + conflicts, 201);
-    println!("{conflicts} of 200 were told that another was first");
+    assert_eq!(numbers.len() + conflicts, 2 * rounds + 1);
+    println!("{conflicts} of {} were told that another was first", 2 * rounds);
 }
 
 #[tokio::test]
@@ -227,7 +267,7 @@ async fn damage_is_named_and_a_torn_upload_changes_nothing() {
     let manifest = &scratch.files("releases")[0];
     let text = std::fs::read_to_string(manifest).unwrap();
     for (from, to, says) in [
-        ("\"schema\": 9", "\"schema\": 6", "it has schema 6, this program reads 8 to 9"),
+        ("\"schema\": 9", "\"schema\": 6", "it has schema 6, this program reads 8 to 10"),
         ("\"number\": 1", "\"number\": 3", "it says that it is release 3"),
         ("\"sha256\": \"", "\"sha256\": \"../", "has the segment"),
         ("\"keyframes\"", "\"frames\"", "unknown field"),

@@ -148,7 +148,7 @@ pub(super) fn print_left_out<'a>(maps: impl IntoIterator<Item = &'a MapContents>
     }
 }
 
-/// What a map has that releases, and the other forms of a map, do not carry.
+/// What a map has that other forms of a map do not carry.
 pub(super) fn left_out(contents: &MapContents) -> Vec<String> {
     let features =
         contents.added_features.iter().map(|added| format!("features of {}", added.kind.extractor));

@@ -1,6 +1,5 @@
 //! `driftless publish-map`: makes a map a release in an object store.
 
-use super::build_report::left_out;
 use super::releases::in_store;
 use indicatif::{ProgressBar, ProgressStyle};
 use map::store::load_map;
@@ -148,7 +147,6 @@ fn publish_map(args: &Args) -> anyhow::Result<Outcome> {
         StageArg::Live => Stage::Live,
         StageArg::Candidate => Stage::Candidate,
     };
-    let left_out = left_out(&contents);
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
     bar.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len} cells {elapsed_precise}")?);
     let outcome = in_store(&args.to, async |store| {
@@ -160,11 +158,6 @@ fn publish_map(args: &Args) -> anyhow::Result<Outcome> {
         .await
     })?;
     bar.finish_and_clear();
-    if !args.json {
-        for part in &left_out {
-            println!("left out of the release: {part}");
-        }
-    }
     Ok(outcome)
 }
 

@@ -17,4 +17,4 @@ pub mod record;
 pub mod segment;
 
 pub use manifest::{EXTENDED_STORE_SCHEMA, STORE_SCHEMA};
-pub use segment::{Segment, SegmentError, SegmentName, SegmentWriter};
+pub use segment::{Segment, SegmentError, SegmentName, SegmentWriter, decode_images};

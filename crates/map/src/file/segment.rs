@@ -14,6 +14,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::list::{List, Reader};
 use super::record::{Element, RecordError, Table};
+use crate::added::KeptImage;
 use crate::model::{
     CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
 };
@@ -239,6 +240,17 @@ impl Segment {
         let segment = Segment::decode(bytes)?;
         if segment.landmarks.is_empty() { Ok(segment) } else { Err(misplaced(Table::Landmarks)) }
     }
+}
+
+/// The images of a segment of [`SegmentWriter::of_images`], by keyframe.
+///
+/// # Errors
+/// [`SegmentError`].
+pub fn decode_images(bytes: &[u8]) -> Result<Vec<KeptImage>, SegmentError> {
+    let mut reader = Reader::new(bytes, OF_IMAGES.magic)?;
+    let images = reader.elements()?;
+    reader.end()?;
+    Ok(images)
 }
 
 /// Visits the payloads of one kind of records in a segment that holds nothing else, by id.
