@@ -24,6 +24,7 @@ mod open_page;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;
+pub mod refused_sessions;
 #[cfg(feature = "releases")]
 pub mod review;
 pub mod run_tracks;

@@ -59,6 +59,29 @@ fn sessions_are_taken_once_and_bad_ones_are_named() {
     assert_eq!(again["known"].as_array().unwrap().len(), 2);
     assert_eq!(json_of(&scratch, "map-info --map hall.db --audit"), after);
 
+    // Those that were refused are not looked at again while the map and the settings are as they were.
+    let is_before = |report: &Value| -> Vec<(String, bool)> {
+        let refused = report["refused"].as_array().unwrap().iter();
+        let mut of: Vec<_> = refused
+            .map(|of| (of["kind"].as_str().unwrap().to_owned(), of["before"].as_bool().unwrap()))
+            .collect();
+        of.sort_unstable();
+        of
+    };
+    let kinds_and = |before| vec![("other-place".to_owned(), before), ("unreadable".to_owned(), false)];
+    // The map has changed after the first one was refused, or before: it is known after the second run at the latest.
+    assert!(scratch.path("hall.db.refused.json").exists());
+    let once_more = json_of(&scratch, "maintain --map hall.db --inbox recorded");
+    assert_eq!(is_before(&once_more), kinds_and(true), "{once_more:#}");
+    let other_settings =
+        json_of(&scratch, "maintain --map hall.db --inbox recorded --half-life 80 --dry-run");
+    assert_eq!(is_before(&other_settings), kinds_and(false), "{other_settings:#}");
+
+    // An inbox of several maps: another one does not take the sessions of this one, unless they are named.
+    scratch.copy_map(&scratch.path("second.db"), "office.db");
+    let office = json_of(&scratch, "maintain --map office.db --inbox recorded --dry-run");
+    assert_eq!((office["other_maps"].as_array().unwrap().len(), kinds(&office)), (2, vec!["unreadable"]));
+
     // Two copies at once: one of them is taken.
     scratch.copy_map(&scratch.path("whole.db"), "hall.db");
     let twice = json_of(&scratch, &format!("maintain --map hall.db copy.session {file} --to city"));

@@ -14,6 +14,8 @@ use crate::sightings::Sighting;
 
 /// Probability that a landmark which is gone is taken for seen: another one that looks alike is near.
 pub(crate) const FALSE_SIGHTING: f64 = 0.03;
+/// Landmarks that are there with a smaller probability support no keyframe. One that nobody passes keeps at least half of one.
+const MIN_SUPPORT: f64 = 0.2;
 
 /// Updates the existence of landmarks by what a session shows of them.
 ///
@@ -97,38 +99,53 @@ impl AssumedExistence {
     }
 }
 
-/// Takes out the landmarks that are gone, and the keyframes that they leave with too few.
-///
-/// # Returns
-/// Positions of the landmarks in G (m), and the keyframes.
-pub(crate) fn remove_gone(
-    contents: &mut MapContents,
-    settings: &Settings,
-) -> (Vec<[f64; 3]>, BTreeSet<KeyframeId>) {
+/// What is gone.
+#[derive(Debug, Default)]
+pub(crate) struct Gone {
+    pub(crate) landmarks: BTreeSet<LandmarkId>,
+    /// Where they were, in G (m).
+    pub(crate) positions_m: Vec<[f64; 3]>,
+    /// Keyframes that show too little of what is left.
+    pub(crate) keyframes: BTreeSet<KeyframeId>,
+}
+
+/// Takes out the landmarks that are gone, and the keyframes that are left with too few: what is hardly there supports nothing either.
+pub(crate) fn remove_gone(contents: &mut MapContents, settings: &Settings) -> Gone {
     let is_gone = |of: &&LandmarkExistence| probability(of.log_odds) < settings.min_existence;
     let gone: BTreeSet<LandmarkId> =
         contents.existence.iter().filter(is_gone).map(|existence| existence.landmark).collect();
-    if gone.is_empty() {
-        return (Vec::new(), BTreeSet::new());
+    let doubtful: BTreeSet<LandmarkId> = contents
+        .existence
+        .iter()
+        .filter(|of| probability(of.log_odds) < MIN_SUPPORT)
+        .map(|existence| existence.landmark)
+        .collect();
+    if doubtful.is_empty() && gone.is_empty() {
+        return Gone::default();
     }
     let lost = contents.landmarks_in_global().filter(|(landmark, _)| gone.contains(&landmark.id));
-    let positions = lost.map(|(_, position)| position.into()).collect();
-    let before = landmark_counts(contents);
-    contents.landmarks.retain(|landmark| !gone.contains(&landmark.id));
-    contents.drop_existence_of_others();
-    let after = landmark_counts(contents);
+    let positions_m = lost.map(|(_, position)| position.into()).collect();
+    let before = landmark_counts(contents, |_| true);
+    let after = landmark_counts(contents, |id| !doubtful.contains(&id) && !gone.contains(&id));
     let is_left_poor = |(id, count): (KeyframeId, usize)| {
         let left = after.get(&id).copied().unwrap_or_default();
         (left < count && left < BuildReport::FEW_LANDMARKS).then_some(id)
     };
     let poor: BTreeSet<KeyframeId> = before.into_iter().filter_map(is_left_poor).collect();
+    contents.landmarks.retain(|landmark| !gone.contains(&landmark.id));
+    contents.drop_existence_of_others();
     edit::remove_keyframes(contents, &poor);
-    (positions, poor)
+    Gone { landmarks: gone, positions_m, keyframes: poor }
 }
 
-fn landmark_counts(contents: &MapContents) -> BTreeMap<KeyframeId, usize> {
+/// How many landmarks each keyframe observes of those that a condition holds for.
+fn landmark_counts(
+    contents: &MapContents,
+    holds: impl Fn(LandmarkId) -> bool,
+) -> BTreeMap<KeyframeId, usize> {
     let mut counts: BTreeMap<KeyframeId, usize> = BTreeMap::new();
-    for observation in contents.landmarks.iter().flat_map(|landmark| &landmark.observations) {
+    let landmarks = contents.landmarks.iter().filter(|landmark| holds(landmark.id));
+    for observation in landmarks.flat_map(|landmark| &landmark.observations) {
         *counts.entry(observation.keyframe).or_default() += 1;
     }
     counts

@@ -6,14 +6,17 @@
 //! 2. It is located in the map, whose poses stay as they are ([`mapping::MapPoses::Considered`]).
 //! 3. Which landmarks its keyframes saw, and which they should have seen, changes the probability that each is there
 //!    ([`ExistenceModel`], [`DetectionRates`]). What is gone is taken out.
-//! 4. Of each place, so many keyframes of each appearance stay as [`Settings`] say: the map is as large as what it covers.
+//! 4. Of each place, so many keyframes of each appearance, and so many landmarks, stay as [`Settings`] say: the map is as large as what it covers.
 //!
 //! Derivation: `docs/src/derivations/existence.md`.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod appearance;
 mod coverage;
 mod existence;
 mod gone;
+mod map_index;
+mod places;
 mod rates;
 mod refusal;
 mod report;

@@ -26,6 +26,8 @@ pub struct SessionReport {
     pub detection_rates: DetectionRates,
     /// Where landmarks were taken out because they are gone: positions in G (m).
     pub gone_m: Vec<[f64; 3]>,
+    /// Landmarks that were taken out because their place has enough of them.
+    pub surplus_landmarks: usize,
     /// Keyframes of the map that were taken out.
     pub removed: RemovedKeyframes,
     /// Keyframes of the map afterwards.

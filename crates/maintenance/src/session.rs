@@ -5,9 +5,11 @@ use std::ops::RangeInclusive;
 
 use map::{MapContents, edit};
 use mapping::{
-    BuildOptions, ExtensionReport, MapPoses, Progress, Stage, check_new_recording, extend_map, run_odometry,
+    BuildOptions, ExtendError, ExtensionReport, LocatedErrors, MapPoses, Progress, Stage,
+    check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown, put_back,
+    run_odometry,
 };
-use protocol::{FeatureSet, KeyframeId};
+use protocol::{FeatureSet, KeyframeId, LandmarkId};
 use sensors::Sequence;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
@@ -21,75 +23,160 @@ use crate::sightings::sightings;
 /// A session contradicts the map where what it sees is less likely than this.
 const CONFIDENCE: f64 = 0.9999;
 
+/// Maps with more keyframes are worked on in the part that the session shows.
+const LARGE_MAP: usize = 400;
+/// Keyframes of such a part, at least and at most; between them, ...
+const PART_KEYFRAMES: [usize; 2] = [300, 600];
+/// ... so many for each image of the session that has features.
+const PART_KEYFRAMES_AN_IMAGE: usize = 3;
+
 /// Works a session into a map.
 ///
+/// In a large map, what it costs depends on the part of the map that the session shows, but for the search for that part.
+///
 /// # Arguments
-/// * `map`: whole and valid, in a frame with z up.
+/// * `map`: whole and valid, sorted, in a frame with z up. Becomes its next version, with the session in its ledger, also where none of its
+///   keyframes stays.
 /// * `sequence`: the session, with features as the map's; a session that a robot handed in, or a recording.
 /// * `build`: its robot and identity, for the ledger.
 /// * `progress`: called with the stage and its steps.
 ///
-/// # Returns
-/// The next version of the map. The session is in its ledger, also where none of its keyframes stays.
-///
 /// # Errors
 /// [`Refusal`]: the session is not used, and the map remains as it was.
 pub fn take_session(
-    map: &MapContents,
+    map: &mut MapContents,
     sequence: &mut Sequence,
     build: &BuildOptions,
     settings: &Settings,
     progress: Progress<'_>,
-) -> Result<(MapContents, SessionReport), Refusal> {
+) -> Result<SessionReport, Refusal> {
+    take_session_by_parts(map, sequence, build, settings, LARGE_MAP, progress)
+}
+
+/// # Arguments
+/// * `large`: maps with more keyframes are worked on in parts.
+pub(crate) fn take_session_by_parts(
+    map: &mut MapContents,
+    sequence: &mut Sequence,
+    build: &BuildOptions,
+    settings: &Settings,
+    large: usize,
+    progress: Progress<'_>,
+) -> Result<SessionReport, Refusal> {
     // Odometry would take minutes to get to the same.
     check_new_recording(&map.info, sequence, build)?;
-    let cameras = sequence.cameras.len();
-    let odometry = run_odometry(sequence, cameras, |done, all| progress(Stage::Odometry, done, all))?;
-    let mut build = build.clone();
-    build.map_poses = MapPoses::Considered;
-    build.sigma_px = None;
-    let (mut contents, extension) = extend_map(map, sequence, &odometry, None, &build, progress)?;
-    check_consistency(map, &extension, settings)?;
-    let Some(ids) = ids_of_new(map, &contents) else { return Err(Refusal::NothingLeft) };
-    let stamp_ns = contents.info.sessions.last().map_or(0, |session| session.end_ns);
-    let features: BTreeMap<i64, &FeatureSet> =
-        sequence.frames.iter().filter_map(|frame| Some((frame.stamp_ns, frame.features.as_ref()?))).collect();
-    let sightings = sightings(&contents, &ids, &features);
-    let detection_rates = update_existence(&mut contents, &sightings, &ids, stamp_ns, settings);
-    let (gone_m, left_poor) = remove_gone(&mut contents, settings);
-    let surplus = surplus(&contents, &ids, stamp_ns, settings);
-    let all: BTreeSet<KeyframeId> = surplus.replaced.union(&surplus.unused).copied().collect();
-    edit::remove_keyframes(&mut contents, &all);
-    if contents.keyframes.is_empty() {
-        return Err(Refusal::NothingLeft);
+    let mut work = Work { sequence, build, settings, progress };
+    if map.keyframes.len() <= large {
+        let Taken { mut contents, report, .. } = work.take(map, None)?;
+        contents.count_sessions();
+        contents.validate()?;
+        *map = contents;
+        return Ok(report);
     }
-    if !contents.keyframes.iter().any(|keyframe| ids.contains(&keyframe.id)) {
-        contents.info.sigma_px = map.info.sigma_px;
-    }
-    contents.sort();
-    contents.count_sessions();
+    let images = work.sequence.frames.iter().filter(|frame| frame.features.is_some()).count();
+    let [least, most] = PART_KEYFRAMES;
+    let count = (PART_KEYFRAMES_AN_IMAGE * images).clamp(least, most);
+    let keyframes = part_shown(map, work.sequence, count, work.progress)?;
+    let part = edit::part_of(map, &keyframes);
+    let Taken { contents, errors, lost, mut report } = work.take(&part, Some((map, &keyframes)))?;
     contents.validate()?;
-    let of_map = |removed: &BTreeSet<KeyframeId>| removed.iter().filter(|id| !ids.contains(id)).count();
-    let kept = contents.keyframes.iter().filter(|keyframe| ids.contains(&keyframe.id));
-    let report = SessionReport {
-        kept_keyframes: kept.count(),
-        session_keyframes: extension.new_keyframes,
-        agreeing_places: extension.agreeing_places,
-        map_ratio: extension.map_chi_square / extension.map_freedom,
-        sigma_px: extension.sigma_px,
-        seen: sightings.iter().filter(|sighting| sighting.seen).count(),
-        missed: sightings.iter().filter(|sighting| !sighting.seen).count(),
-        detection_rates,
-        gone_m,
-        removed: RemovedKeyframes {
-            gone: of_map(&left_poor),
-            replaced: of_map(&surplus.replaced),
-            unused: of_map(&surplus.unused),
-        },
-        keyframes: contents.keyframes.len(),
-        landmarks: contents.landmarks.len(),
-    };
-    Ok((contents, report))
+    let has_new = report.kept_keyframes > 0;
+    put_back(map, &part, contents, &lost, errors);
+    if has_new {
+        find_aliases_of_independent(map, work.progress).map_err(ExtendError::from)?;
+    }
+    (report.keyframes, report.landmarks) = (map.keyframes.len(), map.landmarks.len());
+    Ok(report)
+}
+
+/// What a session makes of a map, or of a part of it.
+struct Taken {
+    /// Sorted.
+    contents: MapContents,
+    /// Of the new keyframes, in a larger map.
+    errors: LocatedErrors,
+    /// Landmarks that were taken out.
+    lost: BTreeSet<LandmarkId>,
+    report: SessionReport,
+}
+
+/// A session that is to be worked into a map.
+struct Work<'a, 'p> {
+    sequence: &'a mut Sequence,
+    build: &'a BuildOptions,
+    settings: &'a Settings,
+    progress: Progress<'p>,
+}
+
+impl Work<'_, '_> {
+    /// Works the session into a map.
+    ///
+    /// # Arguments
+    /// * `whole`: the map that it is a part of, and the keyframes of the part.
+    fn take(
+        &mut self,
+        map: &MapContents,
+        whole: Option<(&MapContents, &BTreeSet<KeyframeId>)>,
+    ) -> Result<Taken, Refusal> {
+        let (settings, progress) = (self.settings, &mut *self.progress);
+        let cameras = self.sequence.cameras.len();
+        let odometry =
+            run_odometry(self.sequence, cameras, |done, all| progress(Stage::Odometry, done, all))?;
+        let mut build = self.build.clone();
+        build.map_poses = MapPoses::Considered;
+        build.sigma_px = None;
+        let sequence = &*self.sequence;
+        let (mut contents, extension) = extend_map(map, sequence, &odometry, None, &build, progress)?;
+        check_consistency(map, &extension, settings)?;
+        let Some(ids) = ids_of_new(map, &contents) else { return Err(Refusal::NothingLeft) };
+        let errors = whole.map(|(whole, part)| located_errors(whole, part, &contents));
+        let errors = errors.unwrap_or_else(|| Some(LocatedErrors::default()));
+        let errors = errors.ok_or(ExtendError::Indefinite)?;
+        let stamp_ns = contents.info.sessions.last().map_or(0, |session| session.end_ns);
+        let features: BTreeMap<i64, &FeatureSet> = sequence
+            .frames
+            .iter()
+            .filter_map(|frame| Some((frame.stamp_ns, frame.features.as_ref()?)))
+            .collect();
+        let sightings = sightings(&contents, &ids, &features);
+        let detection_rates = update_existence(&mut contents, &sightings, &ids, stamp_ns, settings);
+        let removed = remove_gone(&mut contents, settings);
+        let surplus = surplus(&contents, &ids, stamp_ns, settings);
+        let all: BTreeSet<KeyframeId> = surplus.replaced.union(&surplus.unused).copied().collect();
+        edit::remove_keyframes(&mut contents, &all);
+        contents.landmarks.retain(|landmark| !surplus.landmarks.contains(&landmark.id));
+        contents.drop_existence_of_others();
+        if contents.keyframes.is_empty() {
+            return Err(Refusal::NothingLeft);
+        }
+        if !contents.keyframes.iter().any(|keyframe| ids.contains(&keyframe.id)) {
+            contents.info.sigma_px = map.info.sigma_px;
+        }
+        contents.sort();
+        let of_map = |removed: &BTreeSet<KeyframeId>| removed.iter().filter(|id| !ids.contains(id)).count();
+        let kept = contents.keyframes.iter().filter(|keyframe| ids.contains(&keyframe.id));
+        let report = SessionReport {
+            kept_keyframes: kept.count(),
+            session_keyframes: extension.new_keyframes,
+            agreeing_places: extension.agreeing_places,
+            map_ratio: extension.map_chi_square / extension.map_freedom,
+            sigma_px: extension.sigma_px,
+            seen: sightings.iter().filter(|sighting| sighting.seen).count(),
+            missed: sightings.iter().filter(|sighting| !sighting.seen).count(),
+            detection_rates,
+            gone_m: removed.positions_m,
+            surplus_landmarks: surplus.landmarks.len(),
+            removed: RemovedKeyframes {
+                gone: of_map(&removed.keyframes),
+                replaced: of_map(&surplus.replaced),
+                unused: of_map(&surplus.unused),
+            },
+            keyframes: contents.keyframes.len(),
+            landmarks: contents.landmarks.len(),
+        };
+        let lost = removed.landmarks.into_iter().chain(surplus.landmarks).collect();
+        Ok(Taken { contents, errors, lost, report })
+    }
 }
 
 /// The ids of the keyframes that a map has beyond those of another one.

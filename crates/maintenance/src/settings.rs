@@ -20,9 +20,11 @@ pub struct Settings {
     pub keyframes_a_place: usize,
     /// Appearances, such as day and night, that a place keeps, at most: those that were seen last.
     pub appearances_a_place: usize,
-    /// Side of a place (m).
+    /// Landmarks that a place keeps, at most: of each of its keyframes those that most others show.
+    pub landmarks_a_place: usize,
+    /// Radius of a place (m): no two places have their middles nearer.
     pub place_m: f64,
-    /// Headings of a place (rad).
+    /// Largest angle of a keyframe's optical axis with that of the middle of its place (rad).
     pub place_rad: f64,
     /// An appearance is taken out when nobody has seen it for so many half-lives and another one of its place was seen.
     pub unused_half_lives: f64,
@@ -43,7 +45,8 @@ impl Default for Settings {
             new_existence: 0.8,
             keyframes_a_place: 3,
             appearances_a_place: 4,
-            place_m: 2.0,
+            landmarks_a_place: 2000,
+            place_m: 1.5,
             place_rad: std::f64::consts::FRAC_PI_4,
             unused_half_lives: 2.0,
             max_map_ratio: 2.0,

@@ -11,22 +11,17 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
-use geometry::Pose;
 use map::{Keyframe, Landmark, MapContents};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use protocol::{FeatureSet, KeyframeId};
 use vision::{MatchOptions, distance, metric_of};
+
+use crate::map_index::MapIndex;
 
 /// Landmarks that a keyframe of the session shares with the map, at least, to be well located.
 const MIN_SEEN: usize = 15;
 /// Landmarks that it shares with a partner, at least.
 const MIN_SHARED: usize = 8;
-/// A partner sees the landmark within this angle (rad) ...
-const MAX_ANGLE: f64 = 0.35;
-/// ... and this ratio of distances.
-const MAX_DISTANCE_RATIO: f64 = 1.5;
-/// Distance of an expected pixel from the border of the image (px).
-const MARGIN_PX: f64 = 20.0;
 /// Around an expected pixel: within this angle (rad) ...
 const AROUND: f64 = 0.15;
 /// ... a keyframe has so many features, at least.
@@ -60,11 +55,11 @@ pub(crate) fn sightings(
     session: &RangeInclusive<KeyframeId>,
     features: &BTreeMap<i64, &FeatureSet>,
 ) -> Vec<Sighting> {
-    let map = View::of(contents, session);
+    let map = View { index: MapIndex::of(contents), session };
     let mut found: BTreeMap<usize, Sighting> = BTreeMap::new();
     let own = contents.keyframes.iter().enumerate().filter(|(_, keyframe)| session.contains(&keyframe.id));
     for (at, keyframe) in own {
-        let observed: BTreeSet<usize> = map.observed[at].iter().copied().collect();
+        let observed: BTreeSet<usize> = map.index.observed[at].iter().copied().collect();
         for &landmark in observed.iter().filter(|&&landmark| map.is_old(landmark)) {
             let entry = found.entry(landmark).or_insert(Sighting { landmark, exposures: 0, seen: false });
             entry.seen = true;
@@ -75,12 +70,12 @@ pub(crate) fn sightings(
         };
         let image = SessionImage { keyframe, features, observed: &map.pixels(at) };
         let candidates: BTreeSet<usize> =
-            partners.iter().flat_map(|&partner| map.observed[partner].iter().copied()).collect();
+            partners.iter().flat_map(|&partner| map.index.observed[partner].iter().copied()).collect();
         for landmark in candidates {
             let is_seen = observed.contains(&landmark);
             let Some(pixel) = map.expected(&image, landmark, &partners) else { continue };
             let is_seen = is_seen || image.shows(&pixel, &contents.landmarks[landmark], contents);
-            if !is_seen && !image.would_show(&pixel, map.distance(keyframe, landmark)) {
+            if !is_seen && !image.would_show(&pixel, map.index.distance(keyframe, landmark)) {
                 continue;
             }
             let entry = found.entry(landmark).or_insert(Sighting { landmark, exposures: 0, seen: false });
@@ -91,48 +86,20 @@ pub(crate) fn sightings(
     found.into_values().collect()
 }
 
-/// A map with a session, by the positions of keyframes and landmarks in it.
+/// A map with a session.
 struct View<'a> {
-    contents: &'a MapContents,
+    index: MapIndex<'a>,
     session: &'a RangeInclusive<KeyframeId>,
-    /// Of each landmark, in G (m).
-    positions: Vec<Vector3<f64>>,
-    /// Of each landmark, the keyframes that observe it.
-    observers: Vec<Vec<usize>>,
-    /// Of each keyframe, the landmarks that it observes.
-    observed: Vec<Vec<usize>>,
 }
 
-impl<'a> View<'a> {
-    fn of(contents: &'a MapContents, session: &'a RangeInclusive<KeyframeId>) -> View<'a> {
-        let keyframes: BTreeMap<KeyframeId, usize> =
-            contents.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
-        let mut view = View {
-            contents,
-            session,
-            positions: contents.landmarks_in_global().map(|(_, position)| position).collect(),
-            observers: Vec::with_capacity(contents.landmarks.len()),
-            observed: vec![Vec::new(); contents.keyframes.len()],
-        };
-        for (at, landmark) in contents.landmarks.iter().enumerate() {
-            let observers = landmark.observations.iter();
-            let observers: Vec<usize> =
-                observers.filter_map(|seen| keyframes.get(&seen.keyframe).copied()).collect();
-            for &keyframe in &observers {
-                view.observed[keyframe].push(at);
-            }
-            view.observers.push(observers);
-        }
-        view
-    }
-
+impl View<'_> {
     fn is_of_session(&self, keyframe: usize) -> bool {
-        self.session.contains(&self.contents.keyframes[keyframe].id)
+        self.session.contains(&self.index.contents.keyframes[keyframe].id)
     }
 
     /// Whether the map had a landmark before the session.
     fn is_old(&self, landmark: usize) -> bool {
-        self.observers[landmark].iter().any(|&keyframe| !self.is_of_session(keyframe))
+        self.index.observers[landmark].iter().any(|&keyframe| !self.is_of_session(keyframe))
     }
 
     /// The keyframes of the map that share enough landmarks with what a keyframe of the session observes; none where that is not well
@@ -143,7 +110,7 @@ impl<'a> View<'a> {
             return BTreeSet::new();
         }
         let mut shared: BTreeMap<usize, usize> = BTreeMap::new();
-        for &keyframe in old().flat_map(|&landmark| &self.observers[landmark]) {
+        for &keyframe in old().flat_map(|&landmark| &self.index.observers[landmark]) {
             if !self.is_of_session(keyframe) {
                 *shared.entry(keyframe).or_default() += 1;
             }
@@ -153,17 +120,14 @@ impl<'a> View<'a> {
 
     /// Pixels and distances (m) of what a keyframe observes.
     fn pixels(&self, keyframe: usize) -> Vec<(Vector2<f64>, f64)> {
-        let of = &self.contents.keyframes[keyframe];
+        let contents = self.index.contents;
+        let of = &contents.keyframes[keyframe];
         let pixel = |&landmark: &usize| {
-            let observations = &self.contents.landmarks[landmark].observations;
+            let observations = &contents.landmarks[landmark].observations;
             let seen = observations.iter().find(|seen| seen.keyframe == of.id)?;
-            Some((Vector2::from(seen.pixel.map(f64::from)), self.distance(of, landmark)))
+            Some((Vector2::from(seen.pixel.map(f64::from)), self.index.distance(of, landmark)))
         };
-        self.observed[keyframe].iter().filter_map(pixel).collect()
-    }
-
-    fn distance(&self, keyframe: &Keyframe, landmark: usize) -> f64 {
-        (self.positions[landmark] - keyframe.global_from_keyframe.pose.translation).norm()
+        self.index.observed[keyframe].iter().filter_map(pixel).collect()
     }
 
     /// Where a keyframe of the session sees a landmark as one of its partners does; `None` where it does not.
@@ -173,21 +137,12 @@ impl<'a> View<'a> {
         landmark: usize,
         partners: &BTreeSet<usize>,
     ) -> Option<Vector2<f64>> {
-        let position = &self.positions[landmark];
-        let from = |pose: &Pose| pose.translation - position;
-        let own = from(image.pose());
-        let is_similar = |&keyframe: &usize| {
-            let other = from(&self.contents.keyframes[keyframe].global_from_keyframe.pose);
-            let ratio = own.norm() / other.norm();
-            own.angle(&other) <= MAX_ANGLE
-                && (MAX_DISTANCE_RATIO.recip()..=MAX_DISTANCE_RATIO).contains(&ratio)
-        };
-        let observers = &self.observers[landmark];
-        observers
-            .iter()
-            .filter(|keyframe| partners.contains(keyframe))
-            .find(|keyframe| is_similar(keyframe))?;
-        image.pixel_of(position)
+        let pose = &image.keyframe.global_from_keyframe.pose;
+        let mut observers = self.index.observers[landmark].iter();
+        observers.find(|keyframe| {
+            partners.contains(keyframe) && self.index.is_seen_alike(landmark, pose, **keyframe)
+        })?;
+        self.index.pixel_of(landmark, image.keyframe)
     }
 }
 
@@ -200,23 +155,9 @@ struct SessionImage<'a> {
 }
 
 impl SessionImage<'_> {
-    fn pose(&self) -> &Pose {
-        &self.keyframe.global_from_keyframe.pose
-    }
-
     /// An angle at the centre of the image, in pixels.
     fn pixels(&self, angle: f64) -> f64 {
         angle * self.keyframe.camera.focal[0]
-    }
-
-    /// Where it sees a position in G, with a margin; `None` where it is not in the image.
-    fn pixel_of(&self, position: &Vector3<f64>) -> Option<Vector2<f64>> {
-        let camera = &self.keyframe.camera;
-        let pixel = camera.project(&self.pose().inverse_transform(position)).ok()?;
-        let [width, height] = [camera.width, camera.height].map(f64::from);
-        let is_inside = (MARGIN_PX..=width - MARGIN_PX).contains(&pixel.x)
-            && (MARGIN_PX..=height - MARGIN_PX).contains(&pixel.y);
-        is_inside.then_some(pixel)
     }
 
     /// The features within an angle of a pixel.

@@ -13,6 +13,7 @@ mod formats;
 mod hostile;
 #[cfg(unix)]
 mod interrupted;
+mod parts;
 mod segments;
 mod sessions;
 mod store;

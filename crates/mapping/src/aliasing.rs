@@ -16,11 +16,37 @@ use super::progress::{Progress, Stage};
 /// # Errors
 /// [`BuildError`] for a map that cannot be searched.
 pub fn find_aliases(contents: &mut MapContents, progress: Progress<'_>) -> Result<(), BuildError> {
+    let searched = contents.clone();
+    find_aliases_in(searched, contents, progress)
+}
+
+/// The same for a map whose covariances between keyframes are too large to be held twice: each keyframe is compared as if its error were
+/// independent of those of others.
+///
+/// # Errors
+/// As of [`find_aliases`].
+pub fn find_aliases_of_independent(
+    contents: &mut MapContents,
+    progress: Progress<'_>,
+) -> Result<(), BuildError> {
+    let searched = MapContents {
+        keyframes: contents.keyframes.clone(),
+        landmarks: contents.landmarks.clone(),
+        ..MapContents::empty(contents.info.clone())
+    };
+    find_aliases_in(searched, contents, progress)
+}
+
+fn find_aliases_in(
+    searched: MapContents,
+    contents: &mut MapContents,
+    progress: Progress<'_>,
+) -> Result<(), BuildError> {
     let mut known: BTreeMap<KeyframeId, Vec<Alias>> =
         contents.aliases.drain(..).map(|aliases| (aliases.keyframe, aliases.places)).collect();
     let ids = contents.keyframes.iter().map(|keyframe| keyframe.id);
     let new: Vec<KeyframeId> = ids.filter(|id| !known.contains_key(id)).collect();
-    let map = LoadedMap::from_contents(contents.clone())?;
+    let map = LoadedMap::from_contents(searched)?;
     let search = |at: usize| map.keyframe_aliases(new[at]);
     let found = parallel::map(new.len(), search, |done| progress(Stage::Aliasing, done, new.len()));
     for aliases in found {

@@ -20,6 +20,7 @@
 //! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `stored_poses`, `stored_landmarks` |
+//! | ... in the part of a large map that it shows | `parts` |
 //! | a map is moved into another frame | `map_frame` |
 //! | two maps of one place are merged | `merging`, `stored_poses`, `stored_landmarks` |
 //!
@@ -56,6 +57,7 @@ mod matching;
 mod merging;
 mod odometry;
 mod options;
+mod parts;
 mod pieces;
 mod pipeline;
 mod places;
@@ -83,7 +85,7 @@ mod triangulation;
 mod without_references;
 
 pub use added_features::{AddFeaturesError, AddOptions, AddedReport, add_features};
-pub use aliasing::find_aliases;
+pub use aliasing::{find_aliases, find_aliases_of_independent};
 pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
 pub use extension::{ExtendError, ExtensionReport, extend_map};
@@ -93,6 +95,7 @@ pub use map_frame::map_in_frame;
 pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;
 pub use options::{BuildOptions, MapPoses, StoredPoses};
+pub use parts::{LocatedErrors, located_errors, part_shown, put_back};
 pub use pipeline::build_map;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};

@@ -50,6 +50,20 @@ pub(super) struct PlaceQuery<'a> {
     pub(super) features: &'a FeatureSet,
 }
 
+/// What of a map is needed to find places in it: keyframes as if they were exact, and landmarks of the primary kind.
+pub(super) fn searchable(stored: &MapContents) -> MapContents {
+    let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
+    let mut searched = MapContents {
+        keyframes: stored.keyframes.clone(),
+        landmarks: stored.landmarks.clone(),
+        ..MapContents::empty(stored.info.clone())
+    };
+    for keyframe in &mut searched.keyframes {
+        keyframe.global_from_keyframe.covariance = isotropic_covariance(sigma_theta, sigma_p);
+    }
+    searched
+}
+
 /// Searches views in a map.
 ///
 /// # Arguments
@@ -63,13 +77,7 @@ pub(super) fn find_places(
     poses: &[Pose],
     progress: Progress<'_>,
 ) -> Result<Vec<StoredPlace>, BuildError> {
-    let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
-    let mut searched = stored.clone();
-    searched.cross_covariances.clear();
-    searched.common_errors.clear();
-    for keyframe in &mut searched.keyframes {
-        keyframe.global_from_keyframe.covariance = isotropic_covariance(sigma_theta, sigma_p);
-    }
+    let searched = searchable(stored);
     let view_of: BTreeMap<u64, usize> =
         searched.keyframes.iter().map(|keyframe| keyframe.id).zip(poses.len()..).collect();
     let map = LoadedMap::from_contents(searched)?;

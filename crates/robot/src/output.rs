@@ -182,6 +182,11 @@ pub trait Output {
         let _ = streams;
     }
 
+    /// What is wrong with this output while the run continues: an alarm, and part of the status. `None` where nothing is.
+    fn fault(&self) -> Option<&str> {
+        None
+    }
+
     /// The run is over. The session is closed once all outputs have ended.
     fn end(&mut self, report: &RunReport) {
         let _ = report;
@@ -262,6 +267,10 @@ impl<O: Output + ?Sized> Output for &mut O {
         (**self).set_best_effort(streams);
     }
 
+    fn fault(&self) -> Option<&str> {
+        (**self).fault()
+    }
+
     fn end(&mut self, report: &RunReport) {
         (**self).end(report);
     }
@@ -297,6 +306,11 @@ impl<'a> Outputs<'a> {
     /// Where predicted motions go.
     pub(crate) fn predicted(&self) -> Vec<PublishMotion> {
         self.0.iter().filter_map(|output| output.predicted()).collect()
+    }
+
+    /// What is wrong with some of them, with their number.
+    pub(crate) fn faults(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.0.iter().enumerate().filter_map(|(at, output)| Some((at, output.fault()?)))
     }
 
     /// Ends and drops one after the other.

@@ -18,6 +18,8 @@ pub(crate) enum AlarmKind {
     Wheels(Discriminant<WheelFault>),
     Gnss(Discriminant<GnssFault>),
     Sensor(SensorFault),
+    /// By the number of the output.
+    Output(usize),
 }
 
 impl AlarmKind {
@@ -40,10 +42,12 @@ impl Robot<'_> {
         let of_filter = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
         let of_filter = of_filter.iter().map(|alarm| (AlarmKind::of_filter(alarm), alarm.to_string()));
         let of_sensors = self.faults.now().map(|(fault, text)| (AlarmKind::Sensor(fault), text));
-        self.alarms.update(seconds, of_filter.chain(of_sensors).collect());
+        let of_outputs = self.outputs.faults().map(|(at, fault)| (AlarmKind::Output(at), fault.to_owned()));
+        let all = of_filter.chain(of_sensors).chain(of_outputs).collect();
+        self.alarms.update(seconds, all);
     }
 
-    /// The status, with why the map does not answer and what is wrong with the readings.
+    /// The status, with why the map does not answer and what is wrong with the readings and with outputs.
     pub(crate) fn status(&self) -> Status {
         let mut status = self.supervisor.status();
         let unmatched = StatusReason::NoMatchYet.to_string();
@@ -55,8 +59,9 @@ impl Robot<'_> {
         let failure = self.map.last_failure.as_ref();
         let failure = failure.map(|failure| format!("the map does not answer: {failure}"));
         let of_sensors = self.faults.now().map(|(_, text)| text);
+        let of_outputs = self.outputs.faults().map(|(_, fault)| fault.to_owned());
         let of_operator = self.initial_pose.describe();
-        for fault in of_operator.into_iter().chain(failure).chain(of_sensors) {
+        for fault in of_operator.into_iter().chain(failure).chain(of_sensors).chain(of_outputs) {
             status.reason = format!("{}; {fault}", status.reason);
         }
         // A longer text would not be published.

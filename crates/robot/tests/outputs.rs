@@ -136,6 +136,52 @@ fn outputs_are_ended_where_a_run_is_stopped() {
     assert_eq!(witness.calls.last(), Some(&Call::End(report.frames)));
 }
 
+/// An output that fails at one image and works again later.
+#[derive(Default)]
+struct Faulty {
+    frames: usize,
+    /// Reasons of statuses while it fails, and otherwise.
+    reasons: [Vec<String>; 2],
+}
+
+impl Faulty {
+    const FAULT: &str = "the tape is torn";
+}
+
+impl Output for Faulty {
+    fn frame(&mut self, _: &Frame) {
+        self.frames += 1;
+    }
+
+    fn status(&mut self, report: &StatusReport) {
+        let fails = self.fault().is_some();
+        self.reasons[usize::from(!fails)].push(report.status.reason.clone());
+    }
+
+    fn fault(&self) -> Option<&str> {
+        (30..50).contains(&self.frames).then_some(Self::FAULT)
+    }
+}
+
+#[test]
+fn what_is_wrong_with_an_output_is_an_alarm_and_in_the_status_as_long_as_it_lasts() {
+    let sequence = sequence();
+    let recording = Recording::from(&sequence);
+    let mut source = recording.source().unwrap();
+    let mut faulty = Faulty::default();
+    let mut robot = Robot::new(&mut source, settings(&sequence)).unwrap();
+    robot.add_output(Witness::default());
+    robot.add_output(&mut faulty);
+    let report = robot.run(|_| {});
+    let [failing, working] = &faulty.reasons;
+    assert_eq!(failing.len(), 20);
+    assert!(failing.iter().all(|reason| reason.ends_with(Faulty::FAULT)), "{failing:?}");
+    assert!(!working.is_empty() && working.iter().all(|reason| !reason.contains(Faulty::FAULT)));
+    let alarms: Vec<_> =
+        report.alarms.iter().map(|alarm| (&*alarm.reason, alarm.ended_s.is_some())).collect();
+    assert_eq!(alarms, [(Faulty::FAULT, true)]);
+}
+
 /// Says when it is dropped.
 struct Dropped(&'static str, Rc<RefCell<Vec<&'static str>>>);
 

@@ -133,15 +133,20 @@ pub(super) fn print_kept(kept: &KeptImages) {
     }
 }
 
-/// Says which features a map had that its next version has not, because the poses that they were computed with have moved.
-pub(super) fn print_left_out<'a>(maps: impl IntoIterator<Item = &'a MapContents>) {
-    let mut names: Vec<&str> = Vec::new();
+/// The features that maps have and their next version has not, because the poses that they were computed with have moved.
+pub(super) fn extractors_left_out<'a>(maps: impl IntoIterator<Item = &'a MapContents>) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
     for added in maps.into_iter().flat_map(|map| &map.added_features) {
-        if !names.contains(&added.kind.extractor.as_str()) {
-            names.push(&added.kind.extractor);
+        if !names.contains(&added.kind.extractor) {
+            names.push(added.kind.extractor.clone());
         }
     }
-    for name in names {
+    names
+}
+
+/// Says which features were left out.
+pub(super) fn print_left_out(extractors: &[String]) {
+    for name in extractors {
         println!(
             "left out                    features of {name}: they were computed with the former poses; `driftless add-features` computes them again"
         );

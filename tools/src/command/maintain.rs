@@ -11,8 +11,9 @@ use mapping::Stage;
 #[cfg(feature = "releases")]
 use releases::Outcome;
 
-use super::build_report::print_left_out;
+use super::build_report::{extractors_left_out, print_left_out};
 use crate::maintenance_job::{JobReport, RefusedSession, TakenSession, Watch, maintain};
+use crate::refused_sessions::RefusedSessions;
 use crate::stage_bar::StageBar;
 
 /// Arguments.
@@ -25,9 +26,11 @@ use crate::stage_bar::StageBar;
     Sessions are taken once, the oldest first. Each is located in the map, whose poses stay as they are. One that was handed in before,\n\
     is of another place, contradicts the map (a wrong calibration) or cannot be read is refused, with the reason, and the others are\n\
     taken. What a session should have seen and did not becomes less likely to be there; landmarks that are gone and keyframes that\n\
-    show too little of what is left are taken out, and a place keeps a bounded number of keyframes of each appearance.\n\n\
-    All of it becomes one new version of DB, in one step. A run that finds nothing new writes nothing. A session that is refused is\n\
-    looked at again in the next run: the map may have grown to its place. Remove its file to be rid of it.")]
+    show too little of what is left are taken out, and a place keeps a bounded number of keyframes of each appearance,\n\
+    and of landmarks.\n\n\
+    All of it becomes one new version of DB, in one step. A run that finds nothing new writes no version. A session that is refused is\n\
+    looked at again when the map or the settings have changed: the map may have grown to its place (DB.refused.json remembers them).\n\
+    Remove its file to be rid of it.")]
 pub struct Args {
     /// Session files, or folders of them
     #[arg(value_name = "FILE|DIR", required_unless_present = "inbox")]
@@ -35,7 +38,7 @@ pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
     map: PathBuf,
-    /// The inbox of a map server, with the sessions of its robots
+    /// The inbox of a map server, with the sessions of its robots; those whose robots asked another map are passed over
     #[arg(long, value_name = "DIR")]
     inbox: Option<PathBuf>,
     #[command(flatten)]
@@ -69,10 +72,13 @@ struct SettingsArgs {
     /// Appearances that a place keeps, such as day and night
     #[arg(long, value_name = "N", default_value_t = Settings::default().appearances_a_place as u64, value_parser = clap::value_parser!(u64).range(1..))]
     appearances_per_place: u64,
-    /// Side of a place
+    /// Landmarks that a place keeps
+    #[arg(long, value_name = "N", default_value_t = Settings::default().landmarks_a_place as u64, value_parser = clap::value_parser!(u64).range(100..))]
+    landmarks_per_place: u64,
+    /// Radius of a place
     #[arg(long, value_name = "M", default_value_t = Settings::default().place_m)]
     place_m: f64,
-    /// Headings of a place
+    /// Largest angle of the optical axes of a place with that of its middle
     #[arg(long, value_name = "DEG", default_value_t = Settings::default().place_rad.to_degrees())]
     place_deg: f64,
     /// Take out an appearance that nobody has seen for so many half-lives, where another one of its place was seen
@@ -105,6 +111,7 @@ impl SettingsArgs {
         settings.min_existence = probability;
         settings.keyframes_a_place = usize::try_from(self.keyframes_per_place)?;
         settings.appearances_a_place = usize::try_from(self.appearances_per_place)?;
+        settings.landmarks_a_place = usize::try_from(self.landmarks_per_place)?;
         settings.place_m = self.place_m;
         settings.place_rad = self.place_deg.to_radians();
         settings.unused_half_lives = self.unused_half_lives;
@@ -148,11 +155,17 @@ pub fn run(args: &Args) -> Result<()> {
     let settings = args.settings.read()?;
     let target = MapTarget::new(&args.map, true)?;
     let stored = load_map(&args.map)?.contents;
-    let paths: Vec<PathBuf> = args.sessions.iter().chain(&args.inbox).cloned().collect();
     let mut lines = Lines { is_quiet: args.json, work: None };
-    let (contents, mut report) = maintain(&stored, &paths, &settings, &mut lines)?;
-    if !args.dry_run && !report.taken.is_empty() {
-        report.version = Some(target.save(&contents)?.version);
+    let left_out = extractors_left_out([&stored]);
+    let mut refused = RefusedSessions::read(&args.map, &settings);
+    let inbox = args.inbox.as_deref();
+    let (contents, mut report) =
+        maintain(stored, &args.sessions, inbox, &settings, &mut refused, &mut lines)?;
+    if !args.dry_run {
+        if !report.taken.is_empty() {
+            report.version = Some(target.save(&contents)?.version);
+        }
+        refused.write(&args.map)?;
     }
     #[cfg(feature = "releases")]
     let candidate = args.publishing.propose(&args.map, &mut report)?;
@@ -165,7 +178,9 @@ pub fn run(args: &Args) -> Result<()> {
         println!("{text}");
     } else {
         print(args, &report);
-        print_left_out(Some(&stored).filter(|_| !report.taken.is_empty()));
+        if !report.taken.is_empty() {
+            print_left_out(&left_out);
+        }
     }
     #[cfg(feature = "releases")]
     if let Some(candidate) = candidate.filter(|_| !args.json) {
@@ -175,12 +190,13 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn print(args: &Args, report: &JobReport) {
-    let JobReport { taken, refused, known, before, after, version, .. } = report;
+    let JobReport { taken, refused, known, other_maps, before, after, version, .. } = report;
     println!(
-        "sessions   {} taken, {} refused, {} in the map before",
+        "sessions   {} taken, {} refused, {} in the map before, {} of other maps",
         taken.len(),
         refused.len(),
-        known.len()
+        known.len(),
+        other_maps.len()
     );
     println!("keyframes  {} -> {}", before.keyframes, after.keyframes);
     println!("landmarks  {} -> {}", before.landmarks, after.landmarks);
@@ -240,7 +256,13 @@ impl Watch for Lines {
             "  taken, by {}: {} of {} keyframes kept",
             session.robot, of.kept_keyframes, of.session_keyframes
         );
-        println!("  landmarks  {} seen, {} missed, {} gone", of.seen, of.missed, of.gone_m.len());
+        println!(
+            "  landmarks  {} seen, {} missed, {} gone, {} beyond what their place keeps",
+            of.seen,
+            of.missed,
+            of.gone_m.len(),
+            of.surplus_landmarks
+        );
         let removed = &of.removed;
         println!(
             "  keyframes  {} taken out because what they show is gone, {} replaced, {} unused",
@@ -253,7 +275,8 @@ impl Watch for Lines {
         self.end();
         // Who reads the standard output of a night's job by a program has it in the report.
         if !self.is_quiet {
-            println!("  refused ({}): {}: {}", session.kind, session.file.display(), session.reason);
+            let before = if session.before { ", as before" } else { "" };
+            println!("  refused ({}{before}): {}: {}", session.kind, session.file.display(), session.reason);
         }
     }
 }

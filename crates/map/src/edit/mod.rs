@@ -1,7 +1,9 @@
 //! Changing a map by hand: keyframes and landmarks are taken out, what stays keeps its ids and poses.
 
+mod part;
 mod redundancy;
 
+pub use part::part_of;
 pub use redundancy::{MIN_OTHERS, redundant_keyframes};
 
 use std::collections::{BTreeMap, BTreeSet};

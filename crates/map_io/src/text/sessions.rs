@@ -16,13 +16,20 @@ pub(super) fn read_sessions(path: &Path) -> Result<Vec<Session>, MapFileError> {
             return Err(MapFileError::Read { path: path.to_owned(), reason, remedy });
         }
     };
-    serde_json::from_str(&text).map_err(|error| {
+    let sessions: Vec<Session> = serde_json::from_str(&text).map_err(|error| {
         MapFileError::file(
             path,
             error.to_string(),
             "it is a list of sessions as `driftless export-map` writes it; without the file the map counts as one session",
         )
-    })
+    })?;
+    for (at, session) in sessions.iter().enumerate() {
+        if let Some(overlap) = sessions[..at].iter().find_map(|known| session.overlap(known)) {
+            let remedy = "what both have would count twice: take one of the two out of the list, and its keyframes out of the map";
+            return Err(MapFileError::file(path, overlap.to_string(), remedy));
+        }
+    }
+    Ok(sessions)
 }
 
 /// The text of the file, or `None` for a map without a ledger.

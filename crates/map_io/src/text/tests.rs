@@ -7,6 +7,7 @@ use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use map::sessions::{ReadingSamples, Session, SessionId};
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::rngs::StdRng;
@@ -227,4 +228,24 @@ fn the_cameras_of_euroc_are_read() {
         ]),
     };
     assert_eq!(*camera, expected);
+}
+
+#[test]
+fn a_ledger_in_which_two_sessions_have_the_same_readings_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_map(folder.path(), &random_map(3, true)).unwrap();
+    let path = folder.path().join("sessions.json");
+    let mut sessions: Vec<Session> = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    sessions[0].samples = ReadingSamples::of_digests(vec![5, 7]);
+    let mut again = Session { id: SessionId::from_bytes([9; 16]), ..sessions[0].clone() };
+    again.name = "the same with another name".to_owned();
+    again.keyframe_ids = sessions[0].keyframe_ids.map(|id| id + 1_000_000);
+    sessions.push(again);
+    let write = |sessions: &[Session]| std::fs::write(&path, serde_json::to_vec(sessions).unwrap()).unwrap();
+    write(&sessions);
+    let error = read_map(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("sessions.json") && error.contains("another name"), "{error}");
+    sessions[1].samples = ReadingSamples::of_digests(vec![11]);
+    write(&sessions);
+    read_map(folder.path()).unwrap();
 }

@@ -1,15 +1,19 @@
 //! The joint covariance of a map's keyframe poses, as the map states it: `P = U U^T + R` with few columns in `U` and few blocks
 //! in `R`, so that products with it cost a multiple of the number of keyframes.
 
+use std::collections::BTreeSet;
+
 use adjustment::POSE;
 use map::contents::MapContents;
+use map::model::Keyframe;
 use nalgebra::{DMatrix, Matrix6};
+use protocol::KeyframeId;
 
 /// Lower bounds of the standard deviations (rad, m), so that exact keyframes have a covariance that can be inverted.
 const MIN_SIGMAS: [f64; 2] = [1e-6, 1e-5];
 
 /// The covariance of the errors `[δθ, δp]` in G of all keyframes, in the order of the map.
-pub(super) struct MapCovariance {
+pub(crate) struct MapCovariance {
     /// `U`, 6 rows a keyframe; no columns where the map states no common errors.
     common: DMatrix<f64>,
     /// The blocks of `R` by column, each with its row.
@@ -18,13 +22,28 @@ pub(super) struct MapCovariance {
 
 impl MapCovariance {
     /// Of a map; `None` where it has entries of keyframes that it lacks.
-    pub(super) fn of_map(contents: &MapContents) -> Option<MapCovariance> {
-        let keyframes = &contents.keyframes;
+    pub(crate) fn of_map(contents: &MapContents) -> Option<MapCovariance> {
+        let ids: BTreeSet<KeyframeId> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        let has = |id: &KeyframeId| ids.contains(id);
+        let cross = &contents.cross_covariances;
+        let is_whole = contents.common_errors.iter().all(|entry| has(&entry.keyframe))
+            && cross.iter().all(|cross| has(&cross.a) && has(&cross.b));
+        Self::of_part(contents, &ids).filter(|_| is_whole)
+    }
+
+    /// Of some keyframes of a map; `None` where it lacks one of them.
+    pub(crate) fn of_part(contents: &MapContents, part: &BTreeSet<KeyframeId>) -> Option<MapCovariance> {
+        let is_of_part = |keyframe: &&Keyframe| part.contains(&keyframe.id);
+        let keyframes: Vec<&Keyframe> = contents.keyframes.iter().filter(is_of_part).collect();
+        if keyframes.len() != part.len() {
+            return None;
+        }
         let index_of = |id: u64| keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok();
         let columns = contents.common_errors.first().map_or(0, |common| common.factor.ncols());
         let mut common = DMatrix::zeros(POSE * keyframes.len(), columns);
         for entry in &contents.common_errors {
-            let begin = POSE * index_of(entry.keyframe)?;
+            let Some(at) = index_of(entry.keyframe) else { continue };
+            let begin = POSE * at;
             common.fixed_rows_mut::<POSE>(begin).copy_from(&entry.factor);
         }
         let mut rest: Vec<Vec<(usize, Matrix6<f64>)>> = Vec::with_capacity(keyframes.len());
@@ -37,7 +56,7 @@ impl MapCovariance {
             rest.push(vec![(at, own)]);
         }
         for cross in &contents.cross_covariances {
-            let (a, b) = (index_of(cross.a)?, index_of(cross.b)?);
+            let Some((a, b)) = index_of(cross.a).zip(index_of(cross.b)) else { continue };
             rest[b].push((a, cross.block));
             rest[a].push((b, cross.block.transpose()));
         }
@@ -60,8 +79,18 @@ impl MapCovariance {
         column
     }
 
+    /// `U`, 6 rows a keyframe.
+    pub(crate) fn common(&self) -> &DMatrix<f64> {
+        &self.common
+    }
+
+    /// The rows and columns of all keyframes.
+    pub(crate) fn of_all(&self) -> DMatrix<f64> {
+        self.of_keyframes(&(0..self.len()).collect::<Vec<_>>())
+    }
+
     /// The rows and columns of some keyframes.
-    pub(super) fn of_keyframes(&self, keyframes: &[usize]) -> DMatrix<f64> {
+    pub(crate) fn of_keyframes(&self, keyframes: &[usize]) -> DMatrix<f64> {
         let mut position = vec![None; self.len()];
         for (at, &keyframe) in keyframes.iter().enumerate() {
             position[keyframe] = Some(at);

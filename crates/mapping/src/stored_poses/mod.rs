@@ -30,7 +30,8 @@ use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
-use covariance::{MapCovariance, rows_of};
+pub(crate) use covariance::MapCovariance;
+use covariance::rows_of;
 pub(crate) use posterior::Posterior;
 
 /// Yaw and position of a map.

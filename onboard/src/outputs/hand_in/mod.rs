@@ -27,6 +27,7 @@ use recording_thread::Item;
 use robot::{Estimate, Output};
 use sensors::Frame;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 
 pub(crate) use settings::HandInSettings;
@@ -35,6 +36,8 @@ pub(crate) use settings::HandInSettings;
 const REALTIME_QUEUE: usize = 1 << 15;
 /// The same where the run waits for the disk.
 const QUEUE: usize = 256;
+/// Said where recording ends before the run does.
+const ENDED: &str = "no more is recorded to be handed in";
 /// The camera whose features are recorded.
 const CAMERA: usize = 0;
 
@@ -44,6 +47,8 @@ pub(crate) struct HandInOutput {
     sender: Option<SyncSender<Item>>,
     thread: Option<JoinHandle<()>>,
     realtime: bool,
+    /// Why no more is recorded.
+    fault: Arc<OnceLock<String>>,
 }
 
 impl HandInOutput {
@@ -56,16 +61,17 @@ impl HandInOutput {
         folder::recover(&settings.folder, settings.key.as_deref())?;
         let realtime = settings.realtime;
         let (sender, items) = sync_channel(if realtime { REALTIME_QUEUE } else { QUEUE });
+        let fault = Arc::new(OnceLock::new());
+        let of_thread = Arc::clone(&fault);
         let work = move || {
             if let Err(error) = recording_thread::record(&settings, &items) {
-                tracing::error!(
-                    %error,
-                    "no more is recorded to be handed in; the run continues, and what was written so far counts"
-                );
+                let reason = error.to_string();
+                tracing::error!(reason, "{ENDED}; the run continues, and what was written so far counts");
+                let _ = of_thread.set(format!("{ENDED}: {reason}"));
             }
         };
         let thread = std::thread::Builder::new().name("hand-in".into()).spawn(work)?;
-        Ok(Self { sender: Some(sender), thread: Some(thread), realtime })
+        Ok(Self { sender: Some(sender), thread: Some(thread), realtime, fault })
     }
 
     /// Sends to the thread, which is gone where writing failed: that was said.
@@ -78,7 +84,8 @@ impl HandInOutput {
             false
         };
         if is_full {
-            tracing::error!("no more is recorded to be handed in: the disk is too slow; the run continues");
+            tracing::error!("{ENDED}: the disk is too slow; the run continues");
+            let _ = self.fault.set(format!("{ENDED}: the disk is too slow"));
             self.sender = None;
         }
     }
@@ -135,6 +142,10 @@ impl Output for HandInOutput {
 
     fn restart(&mut self) {
         self.send(Item::Restart);
+    }
+
+    fn fault(&self) -> Option<&str> {
+        self.fault.get().map(String::as_str)
     }
 }
 

@@ -1,15 +1,16 @@
 //! Laws of what is recorded.
 
-use super::folder;
 use super::recording_thread::{Item, record};
 use super::session_builder::SessionBuilder;
 use super::settings::HandInSettings;
+use super::{HandInOutput, folder};
 use estimator::{ImuSample, TrackObservation};
 use geometry::{Camera, Distortion, Pose};
 use hand_in::{Answer, AnsweredMatch, Chunk, Header, Session};
 use map::sessions::RecordedDigest;
 use nalgebra::{Vector2, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MapIdentity};
+use robot::Output as _;
 use sensors::{CameraSensor, ImuNoise, ImuSensor};
 use std::path::Path;
 use std::sync::mpsc::sync_channel;
@@ -227,15 +228,17 @@ fn what_a_killed_robot_left_becomes_a_session_and_what_another_one_records_does_
 }
 
 #[test]
-fn a_folder_that_is_full_ends_the_recording_and_says_what_to_do() {
+fn a_folder_that_is_full_ends_the_recording_and_is_an_alarm_that_says_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("old.session"), vec![0; 1_000_001]).unwrap();
-    let settings = settings(folder.path(), 9e5, LONG);
-    let (sender, receiver) = sync_channel(1 << 14);
+    let mut output = HandInOutput::start(settings(folder.path(), 9e5, LONG)).unwrap();
+    assert_eq!(output.fault(), None);
     for item in drive(400) {
-        sender.send(item).unwrap();
+        output.send(item);
     }
-    drop(sender);
-    let error = record(&settings, &receiver).unwrap_err().to_string();
-    assert!(error.contains("1000001 bytes") && error.contains("driftless hand-in"), "{error}");
+    // The thread has ended, whose end of the channel is closed.
+    output.sender = None;
+    output.thread.take().unwrap().join().unwrap();
+    let fault = output.fault().unwrap();
+    assert!(fault.contains("1000001 bytes") && fault.contains("driftless hand-in"), "{fault}");
 }

@@ -1,13 +1,14 @@
-//! The laws of existence, of detection rates and of coverage.
+//! The laws of existence and of detection rates.
+
+mod coverage;
 
 use std::collections::BTreeSet;
 
-use map::{LandmarkExistence, MapContents};
+use map::MapContents;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 use testing::{Place, PlaceOptions};
 
-use crate::coverage::surplus;
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
 use crate::gone::{FALSE_SIGHTING, remove_gone, update_existence};
 use crate::rates::{DetectionRates, Shown};
@@ -155,7 +156,7 @@ fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
         let rates =
             update_existence(&mut map, &sightings, &(0..=0), FIRST_NS + session * 4 * DAY_NS, &settings);
         assert!(rates.of(3) >= 0.7, "{rates:?}");
-        removed += remove_gone(&mut map, &settings).0.len();
+        removed += remove_gone(&mut map, &settings).landmarks.len();
         map.sort();
         map.validate().unwrap();
     }
@@ -168,62 +169,4 @@ fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
     );
     assert_eq!(left.len() + removed, all.len());
     assert!(map.existence.iter().all(|of| probability(of.log_odds) > 0.9));
-}
-
-#[test]
-fn a_place_keeps_so_many_keyframes_and_they_show_what_it_showed() {
-    let map = place();
-    let mut settings = Settings::default();
-    (settings.place_m, settings.place_rad) = (100.0, 7.0);
-    for most in 1..=4 {
-        settings.keyframes_a_place = most;
-        let surplus = surplus(&map, &(0..=0), 1_700_000_000_000_000_000, &settings);
-        assert!(surplus.unused.is_empty());
-        let kept = map.keyframes.len() - surplus.replaced.len();
-        // The path is longer than a place with the cube's borders: one appearance for each.
-        assert!((most..=4 * most).contains(&kept), "{kept} of {most}");
-        // Nothing changes where no more than these are there.
-        let mut thinned = map.clone();
-        map::edit::remove_keyframes(&mut thinned, &surplus.replaced);
-        thinned.validate().unwrap();
-        let again = crate::coverage::surplus(&thinned, &(0..=0), 1_700_000_000_000_000_000, &settings);
-        assert!(again.replaced.len() <= kept.saturating_sub(most), "{again:?}");
-    }
-}
-
-#[test]
-fn an_appearance_that_nobody_sees_goes_and_one_of_a_place_that_nobody_visits_stays() {
-    let mut map = place();
-    let settings = Settings::default();
-    let now_ns = 1_800_000_000_000_000_000;
-    let of_old: BTreeSet<u64> = map.keyframes[..4].iter().map(|keyframe| keyframe.id).collect();
-    let stated = |map: &MapContents, is_old: &dyn Fn(&map::Landmark) -> bool| -> Vec<LandmarkExistence> {
-        let existence = |landmark: &map::Landmark| {
-            let seen_ns = if is_old(landmark) { now_ns - 400 * DAY_NS } else { now_ns };
-            LandmarkExistence { landmark: landmark.id, log_odds: 2.0, stamp_ns: seen_ns, seen_ns }
-        };
-        map.landmarks.iter().map(existence).collect()
-    };
-    map.existence = stated(&map, &|_| true);
-    assert_eq!(surplus(&map, &(0..=0), now_ns, &settings).unused, BTreeSet::new());
-    // By night the first four keyframes are seen again, with landmarks of their own.
-    let (last, last_landmark) = (map.keyframes.len() as u64 + 100, 1_000_000);
-    let night: Vec<_> =
-        map.keyframes[..4].iter().map(|of| map::Keyframe { id: of.id + last, ..of.clone() }).collect();
-    for landmark in map.landmarks.clone() {
-        let mut at_night = map::Landmark { id: landmark.id + last_landmark, ..landmark };
-        at_night.observations.retain(|seen| of_old.contains(&seen.keyframe));
-        at_night.observations.iter_mut().for_each(|seen| seen.keyframe += last);
-        if let Some(seen) = at_night.observations.first() {
-            at_night.anchor = seen.keyframe;
-            map.landmarks.push(at_night);
-        }
-    }
-    map.keyframes.extend(night);
-    map.existence = stated(&map, &|landmark| landmark.id < last_landmark);
-    map.sort();
-    map.validate().unwrap();
-    let unused = surplus(&map, &(0..=0), now_ns, &settings).unused;
-    assert!(!unused.is_empty() && unused.is_subset(&of_old), "{unused:?}");
-    assert_eq!(unused, of_old);
 }

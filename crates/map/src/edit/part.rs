@@ -1,0 +1,75 @@
+//! A part of a map: some of its keyframes, and what they observe.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use protocol::{KeyframeId, LandmarkId};
+
+use crate::contents::MapContents;
+use crate::model::{Keyframe, KeyframeAliases, Landmark};
+
+/// Some keyframes of a map with the landmarks of the primary kind that they observe, as a map: observations and covariances are those
+/// within the part. A landmark whose anchor is not in the part is expressed in the frame of the first of its keyframes that observes it.
+/// Images are left out.
+///
+/// # Arguments
+/// * `contents`: sorted.
+///
+/// # Example
+/// ```
+/// use map::{MapContents, MapMetadata, edit};
+/// use protocol::DescriptorKind;
+///
+/// let map = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
+/// let part = edit::part_of(&map, &[4, 5].into());
+/// assert!(part.keyframes.is_empty());
+/// ```
+pub fn part_of(contents: &MapContents, keyframes: &BTreeSet<KeyframeId>) -> MapContents {
+    let has = |id: &KeyframeId| keyframes.contains(id);
+    let all: BTreeMap<KeyframeId, &Keyframe> =
+        contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
+    let pose = |id: &KeyframeId| all.get(id).map(|keyframe| &keyframe.global_from_keyframe.pose);
+    let landmark_in_part = |landmark: &Landmark| {
+        let observations = landmark.observations.iter().filter(|seen| has(&seen.keyframe)).cloned();
+        let mut of_part = Landmark {
+            id: landmark.id,
+            anchor: landmark.anchor,
+            position_in_anchor: landmark.position_in_anchor,
+            observations: observations.collect(),
+        };
+        let first = of_part.observations.first()?.keyframe;
+        if !has(&of_part.anchor) {
+            let in_global = pose(&of_part.anchor)?.transform(&of_part.position_in_anchor);
+            of_part.position_in_anchor = pose(&first)?.inverse_transform(&in_global);
+            of_part.anchor = first;
+        }
+        Some(of_part)
+    };
+    let is_seen =
+        |landmark: &&Landmark| landmark.observations.iter().any(|seen| keyframes.contains(&seen.keyframe));
+    let landmarks: Vec<Landmark> =
+        contents.landmarks.iter().filter(is_seen).filter_map(landmark_in_part).collect();
+    let landmark_ids: BTreeSet<LandmarkId> = landmarks.iter().map(|landmark| landmark.id).collect();
+    let aliases = contents.aliases.iter().filter(|aliases| has(&aliases.keyframe));
+    let within = |aliases: &KeyframeAliases| KeyframeAliases {
+        keyframe: aliases.keyframe,
+        places: aliases.places.iter().filter(|place| has(&place.keyframe)).copied().collect(),
+    };
+    MapContents {
+        keyframes: contents.keyframes.iter().filter(|keyframe| has(&keyframe.id)).cloned().collect(),
+        landmarks,
+        cross_covariances: {
+            let pairs = contents.cross_covariances.iter();
+            pairs.filter(|cross| has(&cross.a) && has(&cross.b)).cloned().collect()
+        },
+        common_errors: {
+            let common = contents.common_errors.iter();
+            common.filter(|common| has(&common.keyframe)).cloned().collect()
+        },
+        aliases: aliases.map(within).collect(),
+        existence: {
+            let existence = contents.existence.iter();
+            existence.filter(|existence| landmark_ids.contains(&existence.landmark)).copied().collect()
+        },
+        ..MapContents::empty(contents.info.clone())
+    }
+}

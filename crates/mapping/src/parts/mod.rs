@@ -1,0 +1,17 @@
+//! A recording is located in the part of a large map that it shows: what that costs depends on the part.
+//!
+//! | module | what |
+//! |---|---|
+//! | `selection` | the keyframes about the places that a recording shows |
+//! | `located` | how the errors of new keyframes depend on those of all keyframes of the map |
+//! | `put_back` | the part, with the recording, put back into the map |
+
+mod located;
+mod put_back;
+mod selection;
+#[cfg(test)]
+mod tests;
+
+pub use located::{LocatedErrors, located_errors};
+pub use put_back::put_back;
+pub use selection::part_shown;

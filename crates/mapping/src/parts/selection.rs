@@ -1,0 +1,73 @@
+//! The keyframes about the places that a recording shows.
+
+use std::collections::BTreeSet;
+
+use map::contents::MapContents;
+use nalgebra::Vector3;
+use protocol::KeyframeId;
+use recognition::{LoadedMap, RecognitionOptions};
+use sensors::Sequence;
+
+use crate::error::BuildError;
+use crate::extension::ExtendError;
+use crate::places::{MIN_AGREEING, searchable};
+use crate::progress::{Progress, Stage};
+
+/// Images that are searched in the map, at most: along the whole recording.
+const PROBES: usize = 40;
+/// Places of one image that count: those with the most matches.
+const PLACES_AN_IMAGE: usize = 2;
+
+/// The keyframes of a map about the places that a recording shows.
+///
+/// # Arguments
+/// * `sequence`: with features as the map's.
+/// * `most`: how many, at most: those that are nearest to where the recording's images are.
+///
+/// # Errors
+/// [`ExtendError::NotConnected`] where too few of the images show the map; [`ExtendError::Build`] where the map cannot be searched.
+pub fn part_shown(
+    map: &MapContents,
+    sequence: &Sequence,
+    most: usize,
+    progress: Progress<'_>,
+) -> Result<BTreeSet<KeyframeId>, ExtendError> {
+    let camera = sequence.cameras.first().map(|sensor| &sensor.camera);
+    let features: Vec<_> = sequence.frames.iter().filter_map(|frame| frame.features.as_ref()).collect();
+    let step = features.len().div_ceil(PROBES).max(1);
+    let probes: Vec<_> = features.into_iter().step_by(step).collect();
+    let loaded = LoadedMap::from_contents(searchable(map)).map_err(BuildError::from)?;
+    let options = RecognitionOptions::default();
+    let mut found: Vec<Vector3<f64>> = Vec::new();
+    let mut images = 0;
+    for (done, (features, camera)) in probes.iter().zip(camera.iter().cycle()).enumerate() {
+        progress(Stage::PlaceRecognition, done, probes.len());
+        let places = loaded.verified_places(camera, features, None, &|_| true, &options);
+        let places = places.map_err(BuildError::from)?;
+        images += usize::from(!places.is_empty());
+        let positions = places.iter().take(PLACES_AN_IMAGE);
+        found.extend(positions.map(|place| place.global_from_camera.pose.translation));
+    }
+    progress(Stage::PlaceRecognition, probes.len(), probes.len());
+    if images < MIN_AGREEING {
+        return Err(ExtendError::NotConnected {
+            keyframes: probes.len(),
+            found: images,
+            agreeing: 0,
+            wanted: MIN_AGREEING,
+        });
+    }
+    let distance = |position: &Vector3<f64>| {
+        let distances = found.iter().map(|place| (place - position).norm());
+        distances.min_by(f64::total_cmp)
+    };
+    let mut near: Vec<(f64, KeyframeId)> = map
+        .keyframes
+        .iter()
+        .filter_map(|keyframe| {
+            Some((distance(&keyframe.global_from_keyframe.pose.translation)?, keyframe.id))
+        })
+        .collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    Ok(near.into_iter().take(most).map(|(_, id)| id).collect())
+}
