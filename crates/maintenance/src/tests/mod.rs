@@ -1,6 +1,7 @@
 //! The laws of existence and of detection rates.
 
 mod coverage;
+mod parts;
 
 use std::collections::BTreeSet;
 
