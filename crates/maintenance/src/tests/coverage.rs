@@ -35,14 +35,14 @@ fn stated(map: &MapContents, seen_ns: impl Fn(&Landmark) -> i64) -> Vec<Landmark
     map.landmarks.iter().map(existence).collect()
 }
 
-/// Keyframes at random in a hall of 20 x 20 x 2 m.
-fn keyframes(count: usize, rng: &mut StdRng) -> Vec<Keyframe> {
+/// Keyframes at random in a hall of so many metres.
+fn keyframes(hall: [f64; 3], count: usize, rng: &mut StdRng) -> Vec<Keyframe> {
     let template = place().keyframes.remove(0);
     (0..count)
         .map(|_| {
             let mut keyframe = template.clone();
             let pose = &mut keyframe.global_from_keyframe.pose;
-            pose.translation = Vector3::new(20.0, 20.0, 2.0).map(|side| rng.random_range(0.0..side));
+            pose.translation = Vector3::from(hall).map(|side| rng.random_range(0.0..side));
             let axis = Vector3::from_fn(|_, _| rng.random_range(-2.0..2.0));
             pose.rotation = UnitQuaternion::from_scaled_axis(axis);
             keyframe
@@ -61,7 +61,7 @@ fn radii(a: &Keyframe, b: &Keyframe, settings: &Settings) -> f64 {
 fn every_keyframe_is_within_the_radius_of_the_middle_of_its_place_and_no_two_middles_are() {
     let settings = Settings::default();
     for seed in 0..3 {
-        let keyframes = keyframes(600, &mut StdRng::seed_from_u64(seed));
+        let keyframes = keyframes([20.0, 20.0, 2.0], 600, &mut StdRng::seed_from_u64(seed));
         let places = places(&keyframes, &settings);
         let members = || places.iter().flat_map(|place| &place.keyframes);
         assert_eq!((members().collect::<BTreeSet<_>>().len(), members().count()), (600, 600));
@@ -79,11 +79,12 @@ fn every_keyframe_is_within_the_radius_of_the_middle_of_its_place_and_no_two_mid
 fn the_number_of_places_is_that_of_what_was_visited_not_that_of_visits() {
     let settings = Settings::default();
     let mut rng = StdRng::seed_from_u64(4);
-    let mut all = keyframes(8000, &mut rng);
+    let mut all = keyframes([4.0, 4.0, 2.0], 8000, &mut rng);
     let first = places(&all, &settings).len();
-    all.extend(keyframes(8000, &mut rng));
+    all.extend(keyframes([4.0, 4.0, 2.0], 8000, &mut rng));
     let then = places(&all, &settings).len();
-    assert!(then as f64 <= 1.05 * first as f64, "{first} then {then}");
+    // In five dimensions the last gaps are found late.
+    assert!(first < 200 && then as f64 <= 1.15 * first as f64, "{first} then {then}");
 }
 
 #[test]
