@@ -18,7 +18,7 @@ class Run:
     """Results of a run. Files are read when they are first asked for."""
 
     def __init__(self, folder: str | PathLike[str]):
-        self.folder = Path(folder)
+        self.folder: Path = Path(folder)
         if not (self.folder / "states.csv").is_file():
             raise Unreadable(f"{self.folder} is no run: it has no states.csv")
 

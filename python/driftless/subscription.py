@@ -17,9 +17,9 @@ class Subscription(Generic[T]):
     """
 
     def __init__(self, declare: Callable[[Callable[[T], None]], Any], capacity: int = 1000):
-        self.dropped = 0
+        self.dropped: int = 0
         """Messages that nobody took in time."""
-        self.unreadable = 0
+        self.unreadable: int = 0
         """Messages that could not be decoded."""
         self.last_error: Exception | None = None
         """Why the last of them could not."""
