@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Builds the files of a release in target/dist: archives of the programs, Debian packages, the Python wheel, a bill of materials and
-# checksums. `just release` calls it; it needs cargo-zigbuild, cargo-deb, cargo-cyclonedx and python3 with pip.
+# checksums. `just release` calls it; it needs cargo-zigbuild, cargo-deb, cargo-cyclonedx and python3 with pip. Where DRIFTLESS_SIGNING_KEY names
+# a secret key of minisign without a password, the checksums are signed with it.
 #
 #   deploy/release.sh [TARGET ...]     x86_64-unknown-linux-gnu and aarch64-unknown-linux-gnu, if none is given
 set -euo pipefail
@@ -53,4 +54,7 @@ mv tools/driftless.cdx.json "$dist/driftless-$version.cdx.json"
 find . -path ./target -prune -o -name driftless.cdx.json -exec rm {} +
 
 (cd "$dist" && sha256sum -- * > SHA256SUMS)
+if [ -n "${DRIFTLESS_SIGNING_KEY:-}" ]; then
+    minisign -Sm "$dist/SHA256SUMS" -s "$DRIFTLESS_SIGNING_KEY" -t "driftless $version" < /dev/null
+fi
 ls -l "$dist"
