@@ -74,6 +74,7 @@ pub mod served_map;
 pub mod server;
 pub mod show;
 mod show_cells;
+mod show_releases;
 mod show_statistics;
 pub mod state;
 mod workers;

@@ -112,11 +112,7 @@ async fn serve() -> anyhow::Result<()> {
         None => None,
     };
     let show = match arguments.http {
-        Some(address) => {
-            let names = arguments.maps.iter().map(|map| map.name.as_str());
-            let beside = monitoring_routes(registry_of(&server), serving);
-            Some(Show::start(address, &session, &server, names, beside).await.context("--http")?)
-        }
+        Some(address) => Some(show_maps(address, &session, &server, &arguments).await.context("--http")?),
         None => None,
     };
     tracing::info!("ready; Ctrl-C stops");
@@ -139,6 +135,24 @@ async fn serve() -> anyhow::Result<()> {
     server.stop().await?;
     close_session(&session).await;
     Ok(())
+}
+
+/// Shows the maps in the browser, and of those that have releases what changed.
+async fn show_maps(
+    address: SocketAddr,
+    session: &zenoh::Session,
+    server: &MapServer,
+    arguments: &Arguments,
+) -> anyhow::Result<Show> {
+    let names = arguments.maps.iter().map(|map| map.name.as_str());
+    let beside = monitoring_routes(registry_of(server), serving);
+    let mut show = Show::start(address, session, server, names, beside).await?;
+    for map in arguments.maps.iter().filter(|map| map.is_released()) {
+        let ReleasePlace { url, choice } = map.releases();
+        let store = open_store(&url, arguments.release_key.as_ref())?;
+        show.follow_releases(&map.name, store, choice, Duration::from_secs(arguments.watch_releases));
+    }
+    Ok(show)
 }
 
 /// Serves until a signal comes, which it returns: with each SIGHUP the maps are loaded again, and from time to time those that

@@ -2,11 +2,13 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use nalgebra::Vector3;
 use protocol::MatchOutcome;
 use recognition::{Candidate, KeyframeVerdict, LoadedMap};
+use releases::{ReleaseChoice, ReleaseStore};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinHandle;
@@ -19,6 +21,7 @@ use zenoh::Session;
 use crate::reports::{AnsweredQuery, QueryReport};
 use crate::server::MapServer;
 use crate::show_cells::CellArtist;
+use crate::show_releases::ReleaseArtist;
 use crate::show_statistics::show_statistics;
 
 /// The page of a map server.
@@ -66,6 +69,22 @@ impl Show {
     /// The address that it listens on.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
+    }
+
+    /// Shows what changed between the releases of a map, and what a candidate would change.
+    ///
+    /// # Arguments
+    /// * `choice`: which of the store's releases the server follows.
+    /// * `period`: time between two looks at the store.
+    pub fn follow_releases(
+        &mut self,
+        name: &str,
+        store: ReleaseStore,
+        choice: ReleaseChoice,
+        period: Duration,
+    ) {
+        let artist = ReleaseArtist::new(Arc::clone(&self.viewer), name.to_owned(), store, choice);
+        self.tasks.push(tokio::spawn(artist.follow(period)));
     }
 
     /// Offers a recorded run to those who look at the page, in place of the one before.

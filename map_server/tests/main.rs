@@ -13,5 +13,7 @@ mod page_image;
 mod program;
 #[cfg(unix)]
 mod program_releases;
+#[cfg(unix)]
+mod release_layers;
 mod serve;
 mod state;

@@ -32,7 +32,9 @@ fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
         std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(robots.each_ref().map(Publisher::namesakes), [1, 1, 0]);
-    robots.into_iter().for_each(Publisher::close);
+    for robot in robots {
+        robot.close(None);
+    }
     for session in [first, second, third] {
         runtime.block_on(close_session(&session));
     }
@@ -54,7 +56,7 @@ fn of_tokens_that_somebody_makes_up_only_some_are_kept_and_told() {
     let last = declare("robot/robot7/session/last".to_owned());
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(publisher.namesakes(), 16);
-    publisher.close();
+    publisher.close(None);
     drop((made_up, last));
     for session in [robot, other] {
         runtime.block_on(close_session(&session));

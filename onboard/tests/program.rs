@@ -2,13 +2,15 @@
 
 use client::{SessionOptions, close_session, open_session};
 use evaluation::trajectory::{states, tum};
+use protocol::{Presence, Published};
 use sensors::writer;
 use simulation::{SimulationOptions, simulate};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use zenoh::sample::{Sample, SampleKind};
 
 /// Within this time of a signal a robot has ended.
 const END: Duration = Duration::from_secs(3);
@@ -23,6 +25,16 @@ fn record(folder: &Path) {
     sequence.frames.truncate(200);
     sequence.imu_samples.drain(LOST);
     writer::write(&sequence, folder).unwrap();
+}
+
+/// A recording, and a session that listens, with its address.
+async fn recorded_beside_a_session() -> (tempfile::TempDir, zenoh::Session, String) {
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path());
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let options = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
+    (folder, open_session(&options).await.unwrap(), endpoint)
 }
 
 fn start(recording: &Path, out: &Path, switches: &[&str]) -> Child {
@@ -114,13 +126,8 @@ fn a_robot_under_load_ends_soon_after_a_signal() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_whose_server_is_silent_ends_soon_after_a_signal() {
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, session, endpoint) = recorded_beside_a_session().await;
     let out = folder.path().join("out");
-    record(folder.path());
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let endpoint = format!("tcp/127.0.0.1:{port}");
-    let options = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
-    let session = open_session(&options).await.unwrap();
     let (hold, held) = std::sync::mpsc::channel();
     let silent = session.declare_queryable("map/hall/match").callback(move |query| hold.send(query).unwrap());
     let _silent = silent.await.unwrap();
@@ -140,6 +147,66 @@ async fn a_robot_whose_server_is_silent_ends_soon_after_a_signal() {
         tokio::task::block_in_place(|| ends_soon(child, &out));
         drop(query);
         held.try_iter().for_each(drop);
+        std::fs::remove_dir_all(&out).unwrap();
+    }
+    close_session(&session).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_says_that_it_is_shut_down_and_one_that_is_killed_does_not() {
+    let (folder, session, endpoint) = recorded_beside_a_session().await;
+    let out = folder.path().join("out");
+    for (name, is_off) in [("-TERM", true), ("-KILL", false)] {
+        let presence = Arc::new(Mutex::new(None::<Presence>));
+        let heard = Arc::clone(&presence);
+        let note = move |sample: Sample| {
+            let (now, mut presence) = (Instant::now(), heard.lock().unwrap());
+            let presence = presence.get_or_insert_with(|| Presence::new(now));
+            presence.note_token(sample.kind() == SampleKind::Put, now);
+        };
+        let _token = session.liveliness().declare_subscriber("robot/ada").callback(note).await.unwrap();
+        let heard = Arc::clone(&presence);
+        let note = move |sample: Sample| {
+            let (key, encoding) = (sample.key_expr().as_str(), sample.encoding().to_string());
+            let published = Published::decode(key, &encoding, &sample.payload().to_bytes()).unwrap();
+            let (now, mut presence) = (Instant::now(), heard.lock().unwrap());
+            presence.get_or_insert_with(|| Presence::new(now)).note_published(&published, now);
+        };
+        let _status = session.declare_subscriber("robot/ada/status").callback(note).await.unwrap();
+        let child = Command::new(env!("CARGO_BIN_EXE_onboard"))
+            .args([
+                "--init",
+                "truth",
+                "--map",
+                "hall",
+                "--robot",
+                "ada",
+                "--realtime",
+                "--connect",
+                &endpoint,
+            ])
+            .arg("--sequence")
+            .arg(folder.path())
+            .arg("--out")
+            .arg(&out)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let wait_for = async |is_wanted: &dyn Fn(&Presence) -> bool| {
+            let begin = Instant::now();
+            while !presence.lock().unwrap().as_ref().is_some_and(is_wanted) {
+                assert!(begin.elapsed() < Duration::from_secs(20), "{name}: {presence:?}");
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        wait_for(&|presence| presence.is_online(Instant::now())).await;
+        tokio::task::block_in_place(|| signal(child, &out, name));
+        wait_for(&|presence| presence.has_ended() && presence.is_off() == is_off).await;
+        // Nothing that is on its way says something else.
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        let presence = presence.lock().unwrap().unwrap();
+        assert!(presence.is_off() == is_off && !presence.is_online(Instant::now()), "{name}: {presence:?}");
         std::fs::remove_dir_all(&out).unwrap();
     }
     close_session(&session).await;

@@ -17,7 +17,7 @@
 /// * 7: the state of a robot that only starts is `starting` (was `lost`).
 /// * 8: cameras have the distortions `rational`, `thin_prism_fisheye`, `double_sphere`, `eucm` and `omni`.
 /// * 9: the notice of a change has `keyframe_motions`.
-/// * 10: the info of a map has `feature_kinds`.
+/// * 10: the info of a map has `feature_kinds`; a robot that shuts down in order states `off`.
 ///
 /// Messages of the schema before, from [`OLDEST_SCHEMA`] on, and of the one after are read as well: what a new schema adds is
 /// appended to the end of a message, and zero there means that it is not stated.

@@ -1,5 +1,7 @@
 //! Whether a robot is there: by its liveliness token, and by what it publishes.
 
+use crate::published::Published;
+use crate::robot::RobotState;
 use std::time::{Duration, Instant};
 
 /// A robot that publishes nothing for so long is not there: it publishes its status at least once a second.
@@ -20,33 +22,51 @@ pub struct Presence {
     heard: Instant,
     /// Since when its liveliness token is gone.
     gone: Option<Instant>,
+    /// When it stated that it shuts down.
+    off: Option<Instant>,
 }
 
 impl Presence {
     /// A robot that was heard of for the first time.
     pub fn new(now: Instant) -> Self {
-        Self { heard: now, gone: None }
+        Self { heard: now, gone: None, off: None }
     }
 
-    /// It published something. What was on its way when the token went is no sign of life; who goes on publishing is there.
-    pub fn note_message(&mut self, now: Instant) {
-        if self.gone.is_none_or(|gone| now.duration_since(gone) > SILENCE) {
-            (self.heard, self.gone) = (now, None);
+    /// It published something. What was on its way when the token went, or when it shut down, is no sign of life; who goes on publishing is
+    /// there. The status of a robot that shuts down may come before or after its token went.
+    pub fn note_published(&mut self, published: &Published, now: Instant) {
+        if matches!(published, Published::Status(status) if status.state == RobotState::Off) {
+            (self.heard, self.off) = (now, Some(now));
+        } else {
+            self.note_message(now);
+        }
+    }
+
+    fn note_message(&mut self, now: Instant) {
+        let ended = self.gone.max(self.off);
+        if ended.is_none_or(|ended| now.duration_since(ended) > SILENCE) {
+            *self = Self::new(now);
         }
     }
 
     /// Its [liveliness token](crate::keys::robot) came or went.
     pub fn note_token(&mut self, is_there: bool, now: Instant) {
         if is_there {
-            (self.heard, self.gone) = (now, None);
+            *self = Self::new(now);
         } else {
             self.gone = Some(now);
         }
     }
 
-    /// Whether its liveliness token went: its session ended.
+    /// Whether its session ended: its liveliness token went, or it shut down.
     pub fn has_ended(&self) -> bool {
-        self.gone.is_some()
+        self.gone.is_some() || self.is_off()
+    }
+
+    /// Whether it shut down in order, and said so ([`RobotState::Off`]). Where its session [ended](Self::has_ended) without that, it was killed or lost
+    /// its connection.
+    pub fn is_off(&self) -> bool {
+        self.off.is_some()
     }
 
     /// Seconds since the last sign of life.
@@ -56,13 +76,14 @@ impl Presence {
 
     /// Whether it is there.
     pub fn is_online(&self, now: Instant) -> bool {
-        self.gone.is_none() && now.duration_since(self.heard) <= SILENCE
+        !self.has_ended() && now.duration_since(self.heard) <= SILENCE
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::RobotStatus;
 
     #[test]
     fn a_robot_is_gone_with_its_token_or_when_it_is_silent() {
@@ -85,5 +106,48 @@ mod tests {
         robot.note_token(false, at(38.0));
         robot.note_token(true, at(38.5));
         assert!(robot.is_online(at(38.5)), "it was started again");
+    }
+
+    fn off() -> Published {
+        Published::Status(RobotStatus {
+            stamp_ns: 5,
+            state: RobotState::Off,
+            reason: "it was shut down".to_owned(),
+            map: None,
+            last_map_update_ns: None,
+            keyframes_held: 0,
+            queries_sent: 0,
+            queries_answered: 0,
+        })
+    }
+
+    #[test]
+    fn a_robot_that_said_so_is_off_in_whatever_order_its_last_messages_come() {
+        let start = Instant::now();
+        let at = |seconds: f64| start + Duration::from_secs_f64(seconds);
+        for is_token_first in [true, false] {
+            let mut robot = Presence::new(start);
+            for k in 0..2 {
+                if is_token_first == (k == 0) {
+                    robot.note_token(false, at(1.0));
+                } else {
+                    robot.note_published(&off(), at(1.0));
+                }
+            }
+            robot.note_message(at(1.1));
+            assert!(robot.is_off() && robot.has_ended() && !robot.is_online(at(1.1)), "{is_token_first}");
+            assert!(robot.is_off() && !robot.is_online(at(3600.0)), "for as long as nothing comes");
+            robot.note_token(true, at(3600.0));
+            assert!(!robot.is_off() && robot.is_online(at(3600.0)), "it was started again");
+        }
+        let mut killed = Presence::new(start);
+        killed.note_token(false, at(1.0));
+        assert!(killed.has_ended() && !killed.is_off());
+        // Of a robot without a token.
+        let mut robot = Presence::new(start);
+        robot.note_published(&off(), at(1.0));
+        assert!(robot.has_ended() && !robot.is_online(at(1.0)));
+        robot.note_message(at(7.0));
+        assert!(robot.is_online(at(7.0)) && !robot.is_off(), "it goes on publishing");
     }
 }

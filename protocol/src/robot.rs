@@ -67,6 +67,8 @@ pub enum RobotState {
     Lost,
     /// No pose yet, and none was lost: odometry is not initialized.
     Starting,
+    /// It shuts down in order: the last status that it publishes. Who ends without it was killed, or lost its connection.
+    Off,
 }
 
 /// Health of a robot.

@@ -236,7 +236,7 @@ class RobotStatus:
 
     stamp_ns: int
     state: str
-    """`starting`, `odometry_only`, `localized` or `lost`"""
+    """`starting`, `odometry_only`, `localized`, `lost`, or `off`: the last status of a robot that shut down in order"""
     reason: str
     map: str | None
     last_map_update_ns: int | None

@@ -72,6 +72,7 @@ fn carried(missing: Missing) -> (Vec<RobotState>, Outcome) {
     server.stop();
     let mut states: Vec<RobotState> = receiver.iter().collect();
     states.dedup();
+    assert_eq!(states.pop(), Some(RobotState::Off), "it was shut down in order");
 
     // Localized at the end, where it is, with all answers from three seconds after the light on.
     let last = outcome.states().unwrap().last().unwrap().clone();

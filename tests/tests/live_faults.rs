@@ -93,6 +93,16 @@ impl Robot {
         outcome
     }
 
+    /// Waits until the status has come that says that the robot was shut down.
+    fn wait_for_last_status(&self) {
+        let begin = Instant::now();
+        let is_off = |(_, status): &(Instant, RobotStatus)| status.state == RobotState::Off;
+        while !self.statuses.lock().unwrap().last().is_some_and(is_off) {
+            assert!(begin.elapsed() < Duration::from_secs(10), "the robot said nothing at its end");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     fn close(self) {
         drop(self.sensors);
         self.link.close();
@@ -256,6 +266,7 @@ fn clocks_order_and_drivers_that_fail_do_not_move_the_pose_in_the_map() {
         driver.into_iter().for_each(Driver::stop);
     });
     faults.assert_named(&robot.statuses);
+    robot.wait_for_last_status();
     let statuses = std::mem::take(&mut *robot.statuses.lock().unwrap());
     robot.close();
     server.stop();
@@ -266,7 +277,8 @@ fn clocks_order_and_drivers_that_fail_do_not_move_the_pose_in_the_map() {
         *at >= since && *at <= since + NAMED_WITHIN && status.reason.contains("come after later ones")
     });
     assert!(late.is_none(), "{late:?}");
-    assert_eq!(statuses.last().unwrap().1.state, RobotState::Localized, "{:?}", statuses.last());
+    let [.., (_, last), (_, end)] = &statuses[..] else { panic!("{statuses:?}") };
+    assert_eq!((last.state, end.state), (RobotState::Localized, RobotState::Off), "{last:?}, {end:?}");
     // Where the motion is not known the robot is lost, says so, and is found again.
     let divergences = &outcome.summary.divergences;
     let is_gap = |reason: &str| reason.contains("no IMU readings for");

@@ -231,9 +231,9 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         for count in [heard.poses.len(), heard.odometry.len()] {
             assert!(count > 50 && count <= states.len(), "{count} messages of {} frames", states.len());
         }
-        // A robot publishes its status from the first image on, before it has a pose.
+        // A robot publishes its status from the first image on, before it has a pose, and when it is shut down.
         let (statuses, images) = (heard.statuses.len(), live.frames.len());
-        assert!(statuses > 50 && statuses <= images, "{statuses} statuses of {images} images");
+        assert!(statuses > 50 && statuses <= images + 1, "{statuses} statuses of {images} images");
         for pose in &heard.poses {
             assert_eq!(pose.map, "ring");
             assert_same(&pose.global_from_imu, state_at(pose.stamp_ns).global_from_imu.as_ref().unwrap());
@@ -241,8 +241,9 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         for odometry in &heard.odometry {
             assert_same(&odometry.local_from_imu, &state_at(odometry.stamp_ns).local_from_imu);
         }
-        let last = heard.statuses.last().unwrap();
+        let [.., last, end] = &heard.statuses[..] else { panic!("no statuses") };
         assert_eq!((last.state, last.map.as_deref()), (RobotState::Localized, Some("ring")));
+        assert!(end.state == RobotState::Off && end.queries_answered >= last.queries_answered, "{end:?}");
         assert!(last.queries_answered > 5);
     }
     let info: Vec<protocol::MapInfoReply> = messages(watcher.ask("map/ring/info", None));

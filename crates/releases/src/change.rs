@@ -10,7 +10,7 @@ use crate::partition::CellId;
 use crate::release::{Release, ReleasedCell};
 use crate::store::ReleaseStore;
 use geometry::Pose;
-use map::difference::{Compared, MapDifference, VersionChange};
+use map::difference::{Compared, KeyframeDifference, MapDifference, VersionChange};
 use map::file::Segment;
 use protocol::{KeyframeId, KeyframeMotion, StatedChange};
 use serde::{Deserialize, Serialize};
@@ -105,10 +105,25 @@ pub async fn difference(
     before: &Release,
     now: &Release,
 ) -> Result<MapDifference, ReleaseError> {
-    let cells_before = cells_without(store, before, &now.cells).await?;
-    let cells_now = cells_without(store, now, &before.cells).await?;
-    let [before, now] = [&cells_before, &cells_now].map(|cells| Compared::of_segments(cells));
+    let cells = differing_cells(store, before, now).await?;
+    let [before, now] = cells.each_ref().map(|cells| Compared::of_segments(cells));
     Ok(MapDifference::between(&before, &now))
+}
+
+/// Which keyframes differ from one release to another, and where they are and were.
+///
+/// Only the cells that are not the same in both are fetched.
+///
+/// # Errors
+/// As [`fetch`](crate::fetch()).
+pub async fn keyframe_difference(
+    store: &ReleaseStore,
+    before: &Release,
+    now: &Release,
+) -> Result<KeyframeDifference, ReleaseError> {
+    let cells = differing_cells(store, before, now).await?;
+    let [before, now] = cells.each_ref().map(|cells| Compared::of_segments(cells));
+    Ok(KeyframeDifference::between(&before, &now))
 }
 
 /// What changed since a release. Where its segments cannot be read, that is logged, and nothing is known.
@@ -141,16 +156,12 @@ pub(crate) async fn change_since(
 /// What changes when the map of an earlier release takes the place of the newest one.
 pub(crate) async fn change_back(store: &ReleaseStore, newest: &Release, earlier: &Release) -> ReleasedChange {
     let version = newest.map.version;
-    let cells = async {
-        let before = cells_without(store, newest, &earlier.cells).await?;
-        Ok::<_, ReleaseError>((before, cells_without(store, earlier, &newest.cells).await?))
-    };
-    let (before, now) = match cells.await {
+    let cells = match differing_cells(store, newest, earlier).await {
         Ok(cells) => cells,
         Err(error) => return unknown_for(version, &error),
     };
     let unmoved = newest.cells.iter().filter(|cell| is_in(&earlier.cells, cell)).map(|cell| cell.keyframes);
-    let [before, now] = [&before, &now].map(|cells| Compared::of_segments(cells));
+    let [before, now] = cells.each_ref().map(|cells| Compared::of_segments(cells));
     ReleasedChange::since(version, VersionChange::between(&before, &now, unmoved.sum()))
 }
 
@@ -163,6 +174,16 @@ fn unknown_for(from_version: u64, error: &ReleaseError) -> ReleasedChange {
 
 fn is_in(cells: &[ReleasedCell], cell: &ReleasedCell) -> bool {
     cells.iter().any(|other| other.segment == cell.segment)
+}
+
+/// The cells of two releases that are not in the other one.
+async fn differing_cells(
+    store: &ReleaseStore,
+    before: &Release,
+    now: &Release,
+) -> Result<[Vec<Segment>; 2], ReleaseError> {
+    let former = cells_without(store, before, &now.cells).await?;
+    Ok([former, cells_without(store, now, &before.cells).await?])
 }
 
 /// The cells of a release that are not among some others.

@@ -76,7 +76,7 @@ pub mod store;
 
 pub use cache::ReleaseCache;
 pub use candidates::{candidate_state, promote, reject};
-pub use change::{ReleasedChange, difference};
+pub use change::{ReleasedChange, difference, keyframe_difference};
 pub use clean::{CleanOptions, Cleaned, clean};
 pub use coarse::{CoarseCell, CoarseLandmark};
 pub use damage::Damage;

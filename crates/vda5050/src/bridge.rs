@@ -4,6 +4,8 @@ use crate::broker::{BrokerAddress, BrokerUser};
 use crate::fleet::Fleet;
 use crate::mqtt::{BrokerWatch, VehicleConnection};
 use crate::names::{INTERFACE, NameError, Topics, check_level, check_serial};
+use crate::session::Endpoint;
+use crate::tls::{BrokerTls, BrokerTlsError};
 use crate::vehicle::VehicleSettings;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -36,6 +38,12 @@ pub enum BridgeError {
     /// A rate that is not positive, or beyond 100 Hz.
     #[error("{0} Hz cannot be the rate of a topic: more than 0 and at most 100 are possible")]
     Rate(f64),
+    /// Certificates or a key that cannot be used.
+    #[error(transparent)]
+    Tls(#[from] BrokerTlsError),
+    /// Certificates for an address without TLS.
+    #[error("certificates are given, but {0} is an address without TLS: give mqtts://HOST:PORT")]
+    NoTls(BrokerAddress),
     /// Zenoh refused, as of a closed session.
     #[error("the robots cannot be followed: {0}")]
     Zenoh(zenoh::Error),
@@ -46,6 +54,8 @@ pub enum BridgeError {
 pub struct BridgeSettings {
     /// The broker.
     pub broker: BrokerAddress,
+    /// Certificates, where it is reached by TLS.
+    pub tls: BrokerTls,
     /// The user there, if any.
     pub user: Option<BrokerUser>,
     /// First level of all topics.
@@ -67,6 +77,7 @@ impl BridgeSettings {
     pub fn new(broker: BrokerAddress, manufacturer: impl Into<String>) -> Self {
         Self {
             broker,
+            tls: BrokerTls::default(),
             user: None,
             interface: INTERFACE.to_owned(),
             manufacturer: manufacturer.into(),
@@ -92,6 +103,17 @@ impl BridgeSettings {
             }
         }
         Ok(())
+    }
+
+    /// How the broker is reached.
+    fn endpoint(&self) -> Result<Endpoint, BridgeError> {
+        let BrokerAddress { host, port, has_tls } = self.broker.clone();
+        let tls = match has_tls {
+            true => Some((self.tls.client_config()?, BrokerTls::name_of(&host)?)),
+            false if self.tls == BrokerTls::default() => None,
+            false => return Err(BridgeError::NoTls(self.broker.clone())),
+        };
+        Ok(Endpoint { host, port, tls })
     }
 
     /// The serial number of a robot; `None` for one that is not bridged.
@@ -131,7 +153,7 @@ pub enum BridgeEvent {
 /// * `tell`: takes what happens; it must not block.
 ///
 /// # Errors
-/// Settings that cannot be used, a session that is closed.
+/// Settings that cannot be used, among them certificates, and a session that is closed.
 pub async fn run(
     session: &Session,
     settings: BridgeSettings,
@@ -139,6 +161,7 @@ pub async fn run(
     tell: impl Fn(BridgeEvent) + Send + Sync + 'static,
 ) -> Result<(), BridgeError> {
     settings.check()?;
+    let endpoint = settings.endpoint()?;
     let fleet = Arc::new(Fleet::new(settings.vehicle.clone()));
     let _following = fleet.follow(session).await?;
     let settings = Arc::new(settings);
@@ -161,6 +184,7 @@ pub async fn run(
                     watch.tell(BridgeEvent::Vehicle { robot, topic: topics.visualization.clone() });
                     let connection = VehicleConnection::new(
                         Arc::clone(&settings),
+                        endpoint.clone(),
                         Arc::clone(&watch),
                         serial,
                         topics,

@@ -6,29 +6,35 @@ use thiserror::Error;
 
 /// Port of MQTT without TLS.
 const PORT: u16 = 1883;
+/// Port of MQTT with TLS.
+const TLS_PORT: u16 = 8883;
 
 /// An address that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum BrokerAddressError {
-    /// TLS is wanted.
+    /// WebSockets are wanted.
     #[error(
-        "{0}: TLS is not supported; connect to a broker on this machine, and let it bridge to the other one"
+        "{0}: MQTT over WebSockets is not supported; give mqtt://HOST:PORT, or mqtts://HOST:PORT with TLS"
     )]
-    Tls(String),
+    WebSocket(String),
     /// User or password are in the address, where every process could read them.
     #[error("the address of the broker holds a user; give it with --broker-user and --broker-password-file")]
     User,
     /// Anything else.
-    #[error("{0:?} is no address of a broker; give mqtt://HOST:PORT, for example mqtt://127.0.0.1:1883")]
+    #[error(
+        "{0:?} is no address of a broker; give mqtt://HOST:PORT, for example mqtt://127.0.0.1:1883, or mqtts://HOST:PORT with TLS"
+    )]
     Malformed(String),
 }
 
-/// Host and port of an MQTT broker, without TLS.
+/// Host and port of an MQTT broker, and whether it is reached by TLS.
 ///
 /// ```
 /// let broker: vda5050::BrokerAddress = "mqtt://broker.local".parse()?;
 /// assert_eq!(broker.to_string(), "mqtt://broker.local:1883");
+/// let broker: vda5050::BrokerAddress = "mqtts://broker.local".parse()?;
+/// assert_eq!((broker.has_tls, broker.port), (true, 8883));
 /// # Ok::<(), vda5050::BrokerAddressError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,6 +43,8 @@ pub struct BrokerAddress {
     pub host: String,
     /// TCP port.
     pub port: u16,
+    /// By TLS: `mqtts://`.
+    pub has_tls: bool,
 }
 
 impl FromStr for BrokerAddress {
@@ -44,11 +52,13 @@ impl FromStr for BrokerAddress {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let malformed = || BrokerAddressError::Malformed(text.to_owned());
-        if ["mqtts://", "ssl://", "wss://"].iter().any(|scheme| text.starts_with(scheme)) {
-            return Err(BrokerAddressError::Tls(text.to_owned()));
-        }
-        let place =
-            text.strip_prefix("mqtt://").or_else(|| text.strip_prefix("tcp://")).ok_or_else(malformed)?;
+        let (scheme, place) = text.split_once("://").ok_or_else(malformed)?;
+        let has_tls = match scheme {
+            "mqtt" | "tcp" => false,
+            "mqtts" | "ssl" => true,
+            "ws" | "wss" => return Err(BrokerAddressError::WebSocket(text.to_owned())),
+            _ => return Err(malformed()),
+        };
         let place = place.trim_end_matches('/');
         if place.contains('@') {
             return Err(BrokerAddressError::User);
@@ -60,19 +70,21 @@ impl FromStr for BrokerAddress {
             }
             None => place.split_once(':').unwrap_or((place, "")),
         };
-        let port = if port.is_empty() { PORT } else { port.parse().map_err(|_| malformed())? };
+        let usual = if has_tls { TLS_PORT } else { PORT };
+        let port = if port.is_empty() { usual } else { port.parse().map_err(|_| malformed())? };
         let is_host = !host.is_empty() && !host.contains(|c: char| c == '/' || c.is_whitespace());
-        if is_host && port > 0 { Ok(Self { host: host.to_owned(), port }) } else { Err(malformed()) }
+        if is_host && port > 0 { Ok(Self { host: host.to_owned(), port, has_tls }) } else { Err(malformed()) }
     }
 }
 
 impl fmt::Display for BrokerAddress {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { host, port } = self;
+        let Self { host, port, has_tls } = self;
+        let scheme = if *has_tls { "mqtts" } else { "mqtt" };
         if host.contains(':') {
-            write!(formatter, "mqtt://[{host}]:{port}")
+            write!(formatter, "{scheme}://[{host}]:{port}")
         } else {
-            write!(formatter, "mqtt://{host}:{port}")
+            write!(formatter, "{scheme}://{host}:{port}")
         }
     }
 }
@@ -104,6 +116,8 @@ mod tests {
             ("tcp://broker/", "mqtt://broker:1883"),
             ("mqtt://[::1]:1884", "mqtt://[::1]:1884"),
             ("mqtt://[::1]", "mqtt://[::1]:1883"),
+            ("mqtts://broker", "mqtts://broker:8883"),
+            ("ssl://broker:1", "mqtts://broker:1"),
         ] {
             assert_eq!(read(text).unwrap(), expected);
         }
@@ -111,7 +125,9 @@ mod tests {
         {
             assert!(matches!(read(text), Err(BrokerAddressError::Malformed(_))), "{text}");
         }
-        assert!(matches!(read("mqtts://broker"), Err(BrokerAddressError::Tls(_))));
+        for text in ["ws://broker", "wss://broker/mqtt"] {
+            assert!(matches!(read(text), Err(BrokerAddressError::WebSocket(_))), "{text}");
+        }
         let error = read("mqtt://me:secret@broker").unwrap_err();
         assert_eq!(error, BrokerAddressError::User);
         assert!(!error.to_string().contains("secret"));

@@ -7,6 +7,7 @@
 //! | [`messages`] | the messages `visualization` and `connection` |
 //! | [`quality`] | `localizationScore` and `deviationRange` of a covariance |
 //! | [`names`], [`broker`], [`timestamp`] | topics, addresses and times |
+//! | [`tls`] | [`BrokerTls`]: authorities, certificate and key of `mqtts://` |
 //!
 //! # Which messages
 //! A localizer knows neither orders nor actions, loads or batteries, of which the message `state` must tell: that is for the vehicle's
@@ -39,7 +40,9 @@ pub mod messages;
 mod mqtt;
 pub mod names;
 pub mod quality;
+mod session;
 pub mod timestamp;
+pub mod tls;
 pub mod vehicle;
 
 pub use bridge::{BridgeError, BridgeEvent, BridgeSettings, run};
@@ -49,6 +52,7 @@ pub use names::{NameError, Topics};
 pub use protocol::Published;
 pub use quality::{deviation_range_m, localization_score};
 pub use timestamp::iso_8601;
+pub use tls::{BrokerTls, BrokerTlsError, CertificateOf, ClientIdentity};
 pub use vehicle::{Vehicle, VehicleSettings};
 
 /// The examples of the README run as tests.

@@ -89,7 +89,7 @@ pub struct Visualization {
 pub enum ConnectionState {
     /// It is.
     Online,
-    /// It went in good order.
+    /// It went in good order: the robot shut down, or the bridge did.
     Offline,
     /// It went without saying so.
     ConnectionBroken,

@@ -4,25 +4,25 @@ use crate::bridge::{BridgeEvent, BridgeSettings};
 use crate::fleet::{SharedVehicle, lock};
 use crate::messages::{Connection, ConnectionState, Header, Visualization};
 use crate::names::Topics;
-use rumqttc::{AsyncClient, ConnectionError, Event, EventLoop, LastWill, MqttOptions, Outgoing, Packet, QoS};
+use crate::session::{Endpoint, Session, SessionError};
+use rumqttc::{Connect, LastWill, Publish, QoS};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant, SystemTime};
+use tokio::sync::mpsc::{Sender, channel};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
-/// Time between two signs of life, as the standard suggests: after one and a half of it the broker publishes the last will.
-const KEEP_ALIVE: Duration = Duration::from_secs(15);
-/// How long the broker may take to answer, seconds.
-const CONNECTING_S: u64 = 5;
 /// Messages that may wait for the network before new ones are dropped.
 const QUEUE: usize = 4;
 /// Time between two attempts: it doubles with each that fails.
 const RETRY: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(10)];
 /// How long saying goodbye may take.
 const GOODBYE: Duration = Duration::from_secs(2);
-/// Time between two looks at a robot that is not there, or at a goodbye that is under way.
+/// How long the last status of a robot may come after its token went.
+const LAST_STATUS: Duration = Duration::from_millis(500);
+/// Time between two looks at a robot that is not there.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Whether the broker answers, told once for all vehicles.
@@ -49,19 +49,10 @@ impl BrokerWatch {
         }
     }
 
-    fn note_failed(&self, error: &ConnectionError) {
+    fn note_failed(&self, error: &SessionError) {
         if self.state.swap(Self::FAILED, Ordering::Relaxed) != Self::FAILED {
-            self.tell(BridgeEvent::BrokerFailed { error: describe(error) });
+            self.tell(BridgeEvent::BrokerFailed { error: error.to_string() });
         }
-    }
-}
-
-/// What went wrong, for people.
-fn describe(error: &ConnectionError) -> String {
-    match error {
-        ConnectionError::ConnectionRefused(code) => format!("it refuses the connection: {code:?}"),
-        ConnectionError::NetworkTimeout | ConnectionError::FlushTimeout => "it does not answer".to_owned(),
-        other => other.to_string(),
     }
 }
 
@@ -77,6 +68,7 @@ enum End {
 /// One vehicle at the broker.
 pub(crate) struct VehicleConnection {
     settings: Arc<BridgeSettings>,
+    endpoint: Endpoint,
     watch: Arc<BrokerWatch>,
     serial: String,
     topics: Topics,
@@ -88,12 +80,13 @@ pub(crate) struct VehicleConnection {
 impl VehicleConnection {
     pub(crate) fn new(
         settings: Arc<BridgeSettings>,
+        endpoint: Endpoint,
         watch: Arc<BrokerWatch>,
         serial: String,
         topics: Topics,
         vehicle: SharedVehicle,
     ) -> Self {
-        Self { settings, watch, serial, topics, vehicle, visualizations: 0, connections: 0 }
+        Self { settings, endpoint, watch, serial, topics, vehicle, visualizations: 0, connections: 0 }
     }
 
     /// Publishes the vehicle while its robot is there, until the bridge stops.
@@ -126,21 +119,19 @@ impl VehicleConnection {
     ///
     /// # Errors
     /// What broke it, and whether the broker had accepted it.
-    async fn connected(
-        &mut self,
-        stopped: &mut watch::Receiver<bool>,
-    ) -> Result<End, (ConnectionError, bool)> {
-        let (client, mut events) = AsyncClient::new(self.options(), QUEUE);
-        events.network_options.set_connection_timeout(CONNECTING_S);
-        tokio::select! {
-            accepted = accepted(&mut events) => accepted.map_err(|error| (error, false))?,
+    async fn connected(&mut self, stopped: &mut watch::Receiver<bool>) -> Result<End, (SessionError, bool)> {
+        let connect = self.connect();
+        let session = tokio::select! {
+            opened = Session::open(&self.endpoint, connect) => opened.map_err(|error| (error, false))?,
             _ = stopped.changed() => return Ok(End::Stopped),
-        }
+        };
         self.watch.note_reached();
-        let mut announced = self.announce(&client, ConnectionState::Online);
-        let (acknowledging, acknowledged) = watch::channel(0);
+        let (messages, waiting) = channel(QUEUE);
         // It must not be cancelled at any place, so that it has a task of its own.
-        let mut network = tokio::spawn(run_network(events, acknowledging));
+        let mut network = tokio::spawn(session.run(waiting));
+        if let Some(message) = self.announcement(ConnectionState::Online) {
+            publish(&messages, message);
+        }
         let mut ticks = interval(Duration::from_secs_f64(1.0 / self.settings.rate_hz));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let end = loop {
@@ -148,23 +139,23 @@ impl VehicleConnection {
                 ended = &mut network => {
                     let error = match ended {
                         Ok(Err(error)) => error,
-                        _ => ConnectionError::RequestsDone,
+                        _ => SessionError::Ended,
                     };
                     return Err((error, true));
                 }
                 _ = stopped.changed() => break End::Stopped,
-                _ = ticks.tick() => self.publish_position(&client),
+                _ = ticks.tick() => self.publish_position(&messages),
             }
             if !self.is_online() {
                 // Where it was is not where it is.
-                self.publish_position(&client);
+                self.publish_position(&messages);
                 break End::Gone;
             }
         };
-        let state =
-            if end == End::Stopped { ConnectionState::Offline } else { ConnectionState::ConnectionBroken };
-        announced += self.announce(&client, state);
-        say_goodbye(&client, network, acknowledged, announced).await;
+        let is_in_order = end == End::Stopped || self.is_shut_down().await;
+        let state = if is_in_order { ConnectionState::Offline } else { ConnectionState::ConnectionBroken };
+        let last = self.announcement(state);
+        say_goodbye(messages, last, network).await;
         Ok(end)
     }
 
@@ -172,19 +163,28 @@ impl VehicleConnection {
         lock(&self.vehicle).is_online(Instant::now())
     }
 
-    fn options(&mut self) -> MqttOptions {
-        let BridgeSettings { broker, user, manufacturer, announces, .. } = &*self.settings;
-        let id = format!("driftless-{manufacturer}-{}", self.serial);
-        let mut options = MqttOptions::new(id, &broker.host, broker.port);
-        options.set_keep_alive(KEEP_ALIVE).set_clean_session(true);
+    /// Whether the robot shut down in order; its status that says so may be on its way.
+    async fn is_shut_down(&self) -> bool {
+        let is_off = async {
+            while !lock(&self.vehicle).is_off() {
+                sleep(LOOK / 4).await;
+            }
+        };
+        lock(&self.vehicle).has_ended() && timeout(LAST_STATUS, is_off).await.is_ok()
+    }
+
+    fn connect(&mut self) -> Connect {
+        let BridgeSettings { user, manufacturer, announces, .. } = &*self.settings;
+        let mut connect = Connect::new(format!("driftless-{manufacturer}-{}", self.serial));
         if let Some(user) = user {
-            options.set_credentials(&user.name, &user.password);
+            connect.set_login(&user.name, &user.password);
         }
         if *announces {
             let will = self.connection(ConnectionState::ConnectionBroken);
-            options.set_last_will(LastWill::new(&self.topics.connection, will, QoS::AtLeastOnce, true));
+            let will = LastWill::new(&self.topics.connection, will, QoS::AtLeastOnce, true);
+            connect.last_will = Some(will);
         }
-        options
+        connect
     }
 
     fn header(&self, header_id: u32) -> Header {
@@ -198,19 +198,13 @@ impl VehicleConnection {
         written(&Connection { header, connection_state })
     }
 
-    /// Publishes whether the vehicle is connected.
-    ///
-    /// # Returns
-    /// How many messages the broker will acknowledge: 0 or 1.
-    fn announce(&mut self, client: &AsyncClient, state: ConnectionState) -> usize {
-        if !self.settings.announces {
-            return 0;
-        }
-        let message = self.connection(state);
-        usize::from(publish(client, &self.topics.connection, QoS::AtLeastOnce, true, message))
+    /// Whether the vehicle is connected, as a message; `None` where its own controller tells.
+    fn announcement(&mut self, state: ConnectionState) -> Option<Publish> {
+        let message = self.settings.announces.then(|| self.connection(state))?;
+        Some(Publish { retain: true, ..Publish::new(&self.topics.connection, QoS::AtLeastOnce, message) })
     }
 
-    fn publish_position(&mut self, client: &AsyncClient) {
+    fn publish_position(&mut self, messages: &Sender<Publish>) {
         let header = self.header(self.visualizations);
         self.visualizations = self.visualizations.wrapping_add(1);
         let now = Instant::now();
@@ -218,67 +212,39 @@ impl VehicleConnection {
         let message =
             Visualization { header, agv_position: vehicle.position(now), velocity: vehicle.velocity(now) };
         drop(vehicle);
-        publish(client, &self.topics.visualization, QoS::AtMostOnce, false, written(&message));
+        publish(messages, Publish::new(&self.topics.visualization, QoS::AtMostOnce, written(&message)));
     }
 }
 
-/// Waits until the broker accepts the connection.
-async fn accepted(events: &mut EventLoop) -> Result<(), ConnectionError> {
-    while !matches!(events.poll().await?, Event::Incoming(Packet::ConnAck(_))) {}
-    Ok(())
-}
-
-/// Runs a connection until it ends.
-///
-/// # Arguments
-/// * `acknowledging`: counts the messages that the broker acknowledged.
-async fn run_network(
-    mut events: EventLoop,
-    acknowledging: watch::Sender<usize>,
-) -> Result<(), ConnectionError> {
-    loop {
-        match events.poll().await? {
-            Event::Incoming(Packet::PubAck(_)) => acknowledging.send_modify(|count| *count += 1),
-            Event::Outgoing(Outgoing::Disconnect) => return Ok(()),
-            _ => {}
-        }
-    }
-}
-
-/// Ends a connection after what waits was sent and acknowledged: an acknowledgement that is not read resets the connection, and the broker
-/// publishes the last will.
+/// Ends a connection after what waits, and a last message, was sent and acknowledged.
 async fn say_goodbye(
-    client: &AsyncClient,
-    mut network: JoinHandle<Result<(), ConnectionError>>,
-    mut acknowledged: watch::Receiver<usize>,
-    announced: usize,
+    messages: Sender<Publish>,
+    last: Option<Publish>,
+    mut network: JoinHandle<Result<(), SessionError>>,
 ) {
     let goodbye = async {
-        // An error: the connection ended by itself.
-        if acknowledged.wait_for(|count| *count >= announced).await.is_err() {
-            return;
+        if let Some(last) = last {
+            // An error: the connection ended by itself.
+            let _ = messages.send(last).await;
         }
-        while client.try_disconnect().is_err() && !network.is_finished() {
-            sleep(LOOK).await;
-        }
-        let _ = (&mut network).await;
+        drop(messages);
+        (&mut network).await
     };
-    if timeout(GOODBYE, goodbye).await.is_err() {
-        tracing::debug!("the broker did not take the last messages within {GOODBYE:?}");
-        network.abort();
+    match timeout(GOODBYE, goodbye).await {
+        Ok(Ok(Err(error))) => tracing::debug!("the last messages may be lost: {error}"),
+        Ok(_) => {}
+        Err(_) => {
+            tracing::debug!("the broker did not take the last messages within {GOODBYE:?}");
+            network.abort();
+        }
     }
 }
 
 /// Sends a message; it is dropped where the network is slow or gone: newer ones follow.
-///
-/// # Returns
-/// Whether it was taken.
-fn publish(client: &AsyncClient, topic: &str, qos: QoS, retain: bool, message: Vec<u8>) -> bool {
-    let sent = client.try_publish(topic, qos, retain, message);
-    if let Err(error) = &sent {
-        tracing::debug!(topic, "not published: {error}");
+fn publish(messages: &Sender<Publish>, message: Publish) {
+    if let Err(error) = messages.try_send(message) {
+        tracing::debug!("not published: {error}");
     }
-    sent.is_ok()
 }
 
 /// A message as JSON. Its values are finite, so that it can always be written.

@@ -70,7 +70,7 @@ impl Vehicle {
     /// # Arguments
     /// * `now`: when it came.
     pub fn note(&mut self, published: Published, now: Instant) {
-        self.presence.note_message(now);
+        self.presence.note_published(&published, now);
         match published {
             Published::Pose(pose) => {
                 let is_repeated = self.pose.as_ref().is_some_and(|last| last.value.stamp_ns == pose.stamp_ns);
@@ -101,6 +101,16 @@ impl Vehicle {
     /// Whether the robot is there: it has a token, and published something in the last 5 s.
     pub fn is_online(&self, now: Instant) -> bool {
         self.presence.is_online(now)
+    }
+
+    /// Whether the robot's session ended: its token went, or it shut down.
+    pub fn has_ended(&self) -> bool {
+        self.presence.has_ended()
+    }
+
+    /// Whether the robot shut down in order, and said so.
+    pub fn is_off(&self) -> bool {
+        self.presence.is_off()
     }
 
     /// Where the vehicle is in its map.

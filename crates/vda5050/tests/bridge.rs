@@ -15,7 +15,7 @@ use vda5050::{BridgeError, BridgeEvent, BridgeSettings, BrokerUser};
 use zenoh::Session;
 
 /// A bridge that runs.
-struct Running {
+pub struct Running {
     session: Session,
     stop: oneshot::Sender<()>,
     task: JoinHandle<Result<(), BridgeError>>,
@@ -26,7 +26,7 @@ async fn session() -> Session {
     client::open_session(&SessionOptions::default()).await.unwrap()
 }
 
-async fn start(settings: BridgeSettings) -> Running {
+pub async fn start(settings: BridgeSettings) -> Running {
     let (session, events) = (session().await, Arc::new(Mutex::new(Vec::new())));
     let (stop, stopped) = oneshot::channel();
     let (of_bridge, told) = (session.clone(), Arc::clone(&events));
@@ -46,7 +46,7 @@ impl Running {
     }
 
     /// The status of a robot, ten times a second, until it is aborted.
-    fn presence(&self, robot: &'static str) -> JoinHandle<()> {
+    pub fn presence(&self, robot: &'static str) -> JoinHandle<()> {
         let session = self.session.clone();
         tokio::spawn(async move {
             let payload = protocol::encode(Format::Json, &status(RobotState::Localized)).unwrap();
@@ -65,7 +65,7 @@ impl Running {
     }
 
     /// Pose, odometry and status of a robot, ten times a second, until it is aborted.
-    fn drive(&self, robot: &'static str) -> JoinHandle<()> {
+    pub fn drive(&self, robot: &'static str) -> JoinHandle<()> {
         let session = self.session.clone();
         tokio::spawn(async move {
             let put = async |key: String, payload: Vec<u8>| {
@@ -88,17 +88,17 @@ impl Running {
         self.events.lock().unwrap().clone()
     }
 
-    async fn wait_for(&self, is_wanted: impl Fn(&BridgeEvent) -> bool) {
+    pub async fn wait_for(&self, is_wanted: impl Fn(&BridgeEvent) -> bool) {
         let told = async {
             while !self.events().iter().any(&is_wanted) {
                 sleep(Duration::from_millis(20)).await;
             }
         };
-        timeout(Duration::from_secs(20), told).await.unwrap();
+        assert!(timeout(Duration::from_secs(20), told).await.is_ok(), "{:?}", self.events());
     }
 
     /// Stops the bridge, which must not take long.
-    async fn stop(self) {
+    pub async fn stop(self) {
         self.stop.send(()).unwrap();
         timeout(Duration::from_secs(5), self.task).await.unwrap().unwrap().unwrap();
         client::close_session(&self.session).await;
@@ -179,7 +179,7 @@ async fn a_robot_that_goes_is_told_of_and_comes_again() {
     broker.message("/connection", is_connection("CONNECTIONBROKEN")).await;
     assert_eq!(broker.next().await, Received::Disconnect);
 
-    let _token = running.session.liveliness().declare_token("robot/cart7").await.unwrap();
+    let token = running.session.liveliness().declare_token("robot/cart7").await.unwrap();
     broker.message("/connection", is_connection("ONLINE")).await;
     let first = broker.message("/visualization", |_| true).await;
     assert!(first.payload["headerId"].as_u64() > last.payload["headerId"].as_u64());
@@ -187,6 +187,14 @@ async fn a_robot_that_goes_is_told_of_and_comes_again() {
     let driving = running.drive("cart7");
     broker.message("/visualization", is_initialized).await;
     driving.abort();
+
+    // Shut down in order; its last status comes after its token went.
+    token.undeclare().await.unwrap();
+    running.status("cart7", RobotState::Off).await;
+    let offline = broker.message("/connection", |_| true).await;
+    assert_eq!(offline.payload["connectionState"], "OFFLINE");
+    assert!(offline.is_retained);
+    assert_eq!(broker.next().await, Received::Disconnect);
     running.stop().await;
 }
 

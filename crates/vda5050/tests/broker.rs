@@ -1,11 +1,14 @@
 //! A broker of MQTT 3.1.1 that takes what clients publish, and shows it.
 
+use rustls::ServerConfig;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
+use tokio::net::TcpListener;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::task::{JoinHandle, JoinSet};
+use tokio_rustls::TlsAcceptor;
 
 /// A message, or a last will.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +31,8 @@ pub enum Received {
     Disconnect,
     /// The connection ended without a `Disconnect`.
     Broken,
+    /// A connection that was to be by TLS.
+    NoTls(String),
 }
 
 /// The broker; it ends with all its connections when it is dropped.
@@ -43,6 +48,12 @@ impl Broker {
     /// # Arguments
     /// * `code`: the answer to each connection: 0 accepts it.
     pub async fn start(port: u16, code: u8) -> Self {
+        Self::start_with(port, code, None).await
+    }
+
+    /// The same, by TLS where there is a configuration of it.
+    pub async fn start_with(port: u16, code: u8, tls: Option<ServerConfig>) -> Self {
+        let tls = tls.map(|config| TlsAcceptor::from(Arc::new(config)));
         let listener = TcpListener::bind(("127.0.0.1", port)).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (sender, received) = unbounded_channel();
@@ -50,7 +61,18 @@ impl Broker {
             let mut connections = JoinSet::new();
             loop {
                 let (stream, _) = listener.accept().await.unwrap();
-                connections.spawn(serve(stream, code, sender.clone()));
+                let (tls, sender) = (tls.clone(), sender.clone());
+                connections.spawn(async move {
+                    match tls {
+                        None => serve(stream, code, sender).await,
+                        Some(tls) => match tls.accept(stream).await {
+                            Ok(stream) => serve(stream, code, sender).await,
+                            Err(error) => {
+                                let _ = sender.send(Received::NoTls(error.to_string()));
+                            }
+                        },
+                    }
+                });
             }
         });
         Self { address, received, serving }
@@ -116,7 +138,7 @@ impl<'a> Body<'a> {
 }
 
 /// First byte and body of the next packet; `None` at the end of the stream.
-async fn packet(stream: &mut TcpStream) -> Option<(u8, Vec<u8>)> {
+async fn packet(stream: &mut (impl AsyncRead + Unpin)) -> Option<(u8, Vec<u8>)> {
     let first = stream.read_u8().await.ok()?;
     let (mut length, mut shift) = (0_usize, 0);
     loop {
@@ -149,7 +171,7 @@ fn connect(body: &[u8]) -> Received {
     Received::Connect { id, will, user }
 }
 
-async fn serve(mut stream: TcpStream, code: u8, sender: UnboundedSender<Received>) {
+async fn serve(mut stream: impl AsyncRead + AsyncWrite + Unpin, code: u8, sender: UnboundedSender<Received>) {
     let mut has_ended = false;
     while let Some((first, body)) = packet(&mut stream).await {
         let (received, answer) = match first >> 4 {

@@ -6,4 +6,5 @@ mod broker;
 mod messages;
 mod robot;
 mod schema;
+mod tls;
 mod vehicle;

@@ -29,7 +29,7 @@ export const STATES = {
   unreachable: "▽ unreachable",
   nothing: "◌ no status",
   unknown: "? not known",
-  gone: "○ gone",
+  off: "○ off",
 };
 
 // Dark blue over grey to yellow (as cividis): the lowest to the highest landmark.

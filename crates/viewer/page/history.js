@@ -186,7 +186,7 @@ export class History {
 // A robot of the past, in the form in which it is published.
 function pastOf(name, point, change, t) {
   const state = point?.state ?? change?.state ?? "nothing";
-  const isStated = !["gone", "silent", "unknown", "nothing"].includes(state);
+  const isStated = !["off", "silent", "unknown", "nothing"].includes(state);
   return {
     robot: name,
     state: state === "unknown" ? "nothing" : state,

@@ -1,6 +1,7 @@
 // Loads the map, follows robots or shows a run, and handles keys and links.
 import { Scene } from "./scene.js";
 import { MapLayer } from "./map_layer.js";
+import { Changes } from "./changes_layer.js";
 import { Robot } from "./robot_layer.js";
 import { Panel } from "./panel.js";
 import { Fleet, SILENT_S, alarmOf, stateOf } from "./presence.js";
@@ -23,6 +24,7 @@ document.documentElement.dataset.theme = chosenTheme ?? preferred;
 
 const scene = new Scene(byId("scene"));
 const mapLayer = new MapLayer(scene);
+const changes = new Changes(scene);
 const visible = {};
 const robots = new Map();
 const answersSeen = new Map();
@@ -55,7 +57,7 @@ const MOST_LABELS = 40;
 const OFFER_MS = 3000;
 
 // What the page shows, and where no panel covers the map; for tests and for the console.
-window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, time: { isLive: true, t: null }, free: () => scene.free };
+window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, layers: {}, time: { isLive: true, t: null }, free: () => scene.free };
 
 const link = () => new URLSearchParams(location.hash.slice(1));
 
@@ -91,7 +93,7 @@ async function showMap(name, isNew = true) {
   const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), load(`${path}/landmarks?limit=${LANDMARKS}`)]);
   const landmarks = new Float32Array(response);
   const up = (map.gravity_in_global ?? [0, 0, -1]).map((value) => -value);
-  shown = { name: map.name, version: map.version, revision: map.revision };
+  shown = { name: map.name, version: map.version, revision: map.revision, changes: shown?.name === map.name ? shown.changes : undefined };
   scene.setUp(up);
   mapLayer.set(keyframes, landmarks, up);
   scene.setPoints(keyframes.map((keyframe) => keyframe.position));
@@ -103,6 +105,17 @@ async function showMap(name, isNew = true) {
   document.title = `${map.name} – Driftless`;
   window.driftless.map = shown;
   Object.assign(window.driftless.counts, { keyframes: keyframes.length, landmarks: drawn });
+  await showChanges();
+}
+
+// What changed since the release before, and what an open candidate would change.
+async function showChanges() {
+  const { name } = shown;
+  const answer = await json(`api/maps/${encodeURIComponent(name)}/changes`);
+  // Another map, or another version of it, may be shown by now.
+  if (shown.name !== name) return;
+  window.driftless.layers = changes.set(answer.version === shown.version ? answer : null, mapLayer.size);
+  isChanged = true;
 }
 
 // A number, and how many of them are drawn where these are fewer.
@@ -141,6 +154,11 @@ function onUpdate(update) {
   if (update.run) offerSwitch();
   const [version, revision] = [update.maps?.[shown?.name], update.revisions?.[shown?.name]];
   if (revision !== undefined && revision !== shown.revision) reload(version);
+  const known = update.changes?.[shown?.name];
+  if (known !== undefined && known !== shown.changes) {
+    shown.changes = known;
+    showChanges().catch((error) => notice(`The changes of the map cannot be shown: ${error.message}`));
+  }
   if (!isLinkRead) readTimeOfLink();
 }
 
@@ -217,6 +235,7 @@ function setTheme(name) {
   localStorage.setItem("theme", name);
   scene.applyTheme();
   mapLayer.applyTheme();
+  changes.applyTheme();
   robots.forEach((robot) => robot.applyTheme());
   panel.applyTheme();
   replay?.applyTheme();
@@ -302,6 +321,7 @@ function bind() {
     const apply = () => {
       visible[box.dataset.layer] = box.checked;
       mapLayer.show(box.dataset.layer, box.checked);
+      changes.show(box.dataset.layer, box.checked);
       if (box.dataset.layer === "truth" && replay) replay.truth.visible = box.checked;
     };
     box.addEventListener("change", apply);

@@ -41,10 +41,10 @@ export class Panel {
     for (const { parts, name } of this.entries.values()) set(parts.number, `${keys.get(name) ?? ""}`);
   }
 
-  // By name; those that are gone at the end. Nothing moves without need, so that a focus stays.
+  // By name; those that are off at the end. Nothing moves without need, so that a focus stays.
   sort() {
     const entries = [...this.entries.values()];
-    entries.sort((a, b) => Number(a.isGone ?? false) - Number(b.isGone ?? false) || byName(a.name, b.name));
+    entries.sort((a, b) => Number(a.isOff ?? false) - Number(b.isOff ?? false) || byName(a.name, b.name));
     entries.forEach(({ item }, at) => {
       if (this.list.children[at] !== item) this.list.insertBefore(item, this.list.children[at] ?? null);
     });
@@ -65,7 +65,7 @@ export class Panel {
     set(parts.state, stateText(state, robot, elapsed_s));
     if (entry.state !== state) {
       entry.state = state;
-      entry.isGone = state === "gone";
+      entry.isOff = state === "off";
       parts.state.className = `state ${state}`;
       entry.button.className = `robot of-${state}${entry.button.classList.contains("is-followed") ? " is-followed" : ""}`;
       this.isSorted = false;

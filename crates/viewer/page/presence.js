@@ -6,8 +6,6 @@ import { byName } from "./names.js";
 export const SILENT_S = 2.5;
 // One that has been silent for this long is not expected back soon.
 const UNREACHABLE_S = 60;
-// One that left is told of for this long.
-const LEFT_S = 60;
 const ALARMS_SHOWN = 50;
 
 const byId = (id) => document.getElementById(id);
@@ -20,10 +18,11 @@ function age(robot, elapsed_s) {
 // `robot`: as it was received; `elapsed_s` since then; `isConnected`: whether the server still tells.
 export function stateOf(robot, elapsed_s, isConnected) {
   if (!isConnected) return "unknown";
-  if (robot.has_ended) return "gone";
+  if (robot.is_off) return "off";
   const age_s = age(robot, elapsed_s);
   if (age_s > UNREACHABLE_S) return "unreachable";
-  if (age_s > SILENT_S) return "silent";
+  // Who ends without a word was killed, or lost its connection.
+  if (age_s > SILENT_S || robot.has_ended) return "silent";
   return robot.status?.state ?? "nothing";
 }
 
@@ -38,16 +37,17 @@ export function durationText(s) {
 export function stateText(state, robot, elapsed_s) {
   const words = STATES[state];
   if (state === "silent" || state === "unreachable") {
-    return `${words}${robot.heard_age_s + elapsed_s > SILENT_S ? "" : ", no status"} for ${durationText(age(robot, elapsed_s))}`;
+    const isHeard = robot.heard_age_s + elapsed_s <= SILENT_S;
+    const how = robot.has_ended ? ", disconnected" : isHeard ? ", no status" : "";
+    return `${words}${how} for ${durationText(age(robot, elapsed_s))}`;
   }
-  if (state === "gone" || state === "unknown") return `${words}, heard ${durationText(robot.heard_age_s + elapsed_s)} ago`;
+  if (state === "off" || state === "unknown") return `${words}, heard ${durationText(robot.heard_age_s + elapsed_s)} ago`;
   return words;
 }
 
 // Why an operator should look at a robot; null where all is well.
 export function alarmOf(state, robot, elapsed_s) {
-  const isRecent = state === "gone" && robot.heard_age_s + elapsed_s < LEFT_S;
-  if (!isRecent && !["lost", "silent", "unreachable"].includes(state)) return null;
+  if (!["lost", "silent", "unreachable"].includes(state)) return null;
   const reason = state === "lost" && robot.status?.reason ? `: ${robot.status.reason}` : "";
   return `${stateText(state, robot, elapsed_s)}${reason}`;
 }
@@ -62,7 +62,7 @@ export class Fleet {
   // `robots`: name, state, alarm of each.
   show(robots) {
     const counts = Object.keys(STATES).map((state) => [state, robots.filter((robot) => robot.state === state).length]);
-    const order = ["lost", "unreachable", "silent", "gone"];
+    const order = ["lost", "unreachable", "silent"];
     const alarms = robots.filter(({ alarm }) => alarm).sort(
       (a, b) => order.indexOf(a.state) - order.indexOf(b.state) || byName(a.name, b.name));
     const next = JSON.stringify([counts, alarms.slice(0, ALARMS_SHOWN), alarms.length]);

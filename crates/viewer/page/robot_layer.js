@@ -11,7 +11,7 @@ const RAYS_MS = 1500;
 const BODY_PX = 22;
 
 // Of robots that nobody has heard of, their colour says so.
-const NOT_THERE = { silent: "--odometry-only", unreachable: "--faint", unknown: "--faint", gone: "--faint" };
+const NOT_THERE = { silent: "--odometry-only", unreachable: "--faint", unknown: "--faint", off: "--faint" };
 
 // Shared by all robots. A flat arrow along the x axis of the body, and what becomes an ellipsoid.
 const ARROW = new THREE.ExtrudeGeometry(

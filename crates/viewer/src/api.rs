@@ -36,6 +36,7 @@ pub(crate) fn router(viewer: Arc<Viewer>, beside: Router) -> Router {
         .route("/api/maps/{map}/keyframes", get(keyframes))
         .route("/api/maps/{map}/landmarks", get(landmarks))
         .route("/api/maps/{map}/cameras", get(cameras))
+        .route("/api/maps/{map}/changes", get(changes))
         .route("/api/maps/{map}/localize", post(upload::localize))
         .route("/api/run", get(run))
         .route("/api/queries", get(queries))
@@ -117,6 +118,13 @@ async fn cameras(State(viewer): State<Arc<Viewer>>, Path(name): Path<String>) ->
     let Some(map) = viewer.map(&name) else { return unknown_map() };
     let cameras: Vec<_> = map.cameras.iter().enumerate().map(CameraAnswer::of).collect();
     Json(json!({"map": name, "version": map.version(), "cameras": cameras})).into_response()
+}
+
+async fn changes(State(viewer): State<Arc<Viewer>>, Path(name): Path<String>) -> Response {
+    match viewer.changes(&name) {
+        Some(changes) => json_bytes(changes),
+        None => unknown_map(),
+    }
 }
 
 async fn landmarks(

@@ -44,6 +44,7 @@ pub const ASSETS: &[Asset] = &[
     page_file!("image_query.js", SCRIPT),
     page_file!("server_chart.js", SCRIPT),
     page_file!("chart.js", SCRIPT),
+    page_file!("changes_layer.js", SCRIPT),
     page_file!("colors.js", SCRIPT),
     page_file!("vendor/three.module.js", SCRIPT),
     page_file!("vendor/three.core.js", SCRIPT),

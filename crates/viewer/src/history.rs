@@ -28,10 +28,10 @@ pub(crate) enum ShownState {
     OdometryOnly,
     Lost,
     Starting,
-    /// Nothing came for a while.
+    /// Nothing came for a while, or its session ended without a word.
     Silent,
-    /// Its session ended.
-    Gone,
+    /// It shut down in order.
+    Off,
     /// It published no status.
     Unknown,
 }
@@ -44,6 +44,7 @@ impl ShownState {
             Some(RobotState::OdometryOnly) => Self::OdometryOnly,
             Some(RobotState::Lost) => Self::Lost,
             Some(RobotState::Starting) => Self::Starting,
+            Some(RobotState::Off) => Self::Off,
             None => Self::Unknown,
         }
     }

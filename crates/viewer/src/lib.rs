@@ -9,6 +9,7 @@
 //! | `/api/maps` | the maps: name, identity, version, counts, extent, direction of gravity |
 //! | `/api/maps/{map}/keyframes` | poses with the covariance of the position, metres, in the map's frame G |
 //! | `/api/maps/{map}/landmarks?limit=N` | positions in G as little-endian `f32` triples, metres; an even sample of N |
+//! | `/api/maps/{map}/changes` | keyframes that moved, appeared or are gone, since the release before and in an open candidate |
 //! | `/api/maps/{map}/cameras` | the different cameras of the keyframes |
 //! | POST `/api/maps/{map}/localize?camera=N` | where an image was taken, where there is a [`LocalizeImage`] |
 //! | `/api/run` | the tracks of a recorded run, or 404 |
@@ -45,6 +46,7 @@ mod access;
 mod api;
 pub mod assets;
 mod cameras;
+mod changes;
 mod clock;
 mod error;
 mod fair_log;
@@ -61,6 +63,7 @@ mod upload;
 mod viewed_map;
 mod viewed_part;
 
+pub use changes::{ViewedChange, ViewedChanges};
 pub use error::ViewerError;
 pub use history::MAX_SAMPLES;
 pub use images::{GivenImage, ImageCamera, ImageError, LocalizeImage, MAX_IMAGE_BYTES};

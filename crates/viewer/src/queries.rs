@@ -94,7 +94,7 @@ impl ViewedFix {
         let global_from_camera = &pose.global_from_camera;
         Self {
             position: global_from_camera.pose.translation.into(),
-            rotation_wxyz: rotation_wxyz(global_from_camera),
+            rotation_wxyz: rotation_wxyz(&global_from_camera.pose),
             position_covariance: position_covariance(global_from_camera),
             sigma_theta_rad: global_from_camera.sigma_theta_rad(),
             matched_features: pose.matched_features,

@@ -49,7 +49,7 @@ impl TrackPoint {
         Self {
             t,
             position: pose.pose.translation.into(),
-            rotation_wxyz: rotation_wxyz(pose),
+            rotation_wxyz: rotation_wxyz(&pose.pose),
             position_covariance: position_covariance(pose),
             error_m,
         }

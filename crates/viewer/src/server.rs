@@ -1,6 +1,7 @@
 //! What is shown, and the HTTP server that shows it.
 
 use crate::api;
+use crate::changes::ViewedChanges;
 use crate::error::ViewerError;
 use crate::images::LocalizeImage;
 use crate::live::Live;
@@ -21,6 +22,8 @@ use tokio::task::JoinHandle;
 /// What is shown: maps, robots, a run.
 pub struct Viewer {
     maps: RwLock<BTreeMap<String, Arc<ViewedMap>>>,
+    /// How maps differ from other releases, as JSON.
+    changes: RwLock<BTreeMap<String, Bytes>>,
     /// The recorded run as JSON.
     run: RwLock<Option<Bytes>>,
     /// Whether robots may come.
@@ -55,6 +58,7 @@ impl Viewer {
     fn empty(is_live: bool) -> Self {
         Self {
             maps: RwLock::default(),
+            changes: RwLock::default(),
             run: RwLock::default(),
             is_live,
             images: OnceLock::new(),
@@ -87,6 +91,22 @@ impl Viewer {
         maps.insert(name.clone(), Arc::new(map));
         drop(maps);
         self.live.note_map(&name, version, revision);
+    }
+
+    /// Shows how a map differs from its last release and from a candidate, in place of what was shown before; open pages load it.
+    pub fn set_changes(&self, name: &str, changes: &ViewedChanges) {
+        let answer = changes.answer(name);
+        self.changes.write().unwrap_or_else(PoisonError::into_inner).insert(name.to_owned(), answer);
+        self.live.note_changes(name);
+    }
+
+    /// The answer about how a map differs from other releases; `None` for an unknown map.
+    pub(crate) fn changes(&self, name: &str) -> Option<Bytes> {
+        let known = self.changes.read().unwrap_or_else(PoisonError::into_inner).get(name).cloned();
+        known.or_else(|| {
+            let version = self.version(name)?;
+            Some(ViewedChanges { version, ..ViewedChanges::default() }.answer(name))
+        })
     }
 
     /// The version of a map that is shown.

@@ -3,7 +3,7 @@
 use crate::cameras::{ViewedCamera, cameras_of, joined_cameras};
 use crate::viewed_part::ViewedPart;
 use axum::body::Bytes;
-use geometry::PoseWithCovariance;
+use geometry::{Pose, PoseWithCovariance};
 use map::{Alias, Keyframe, KeyframeAliases, MapContents, MapMetadata};
 use nalgebra::{Matrix3, Vector3};
 use protocol::{Extent, KeyframeId};
@@ -80,7 +80,7 @@ impl ViewedKeyframe {
         Self {
             id: keyframe.id,
             position: pose.pose.translation.into(),
-            rotation_wxyz: rotation_wxyz(pose),
+            rotation_wxyz: rotation_wxyz(&pose.pose),
             position_covariance: position_covariance(pose),
             alias: aliases.first().map(|&Alias { keyframe, log_odds }| ViewedAlias { keyframe, log_odds }),
         }
@@ -93,8 +93,8 @@ pub(crate) fn aliases_of(aliases: &[KeyframeAliases]) -> BTreeMap<KeyframeId, &[
 }
 
 /// Quaternion of a pose, the real part first.
-pub(crate) fn rotation_wxyz(pose: &PoseWithCovariance) -> [f64; 4] {
-    let rotation = pose.pose.rotation;
+pub(crate) fn rotation_wxyz(pose: &Pose) -> [f64; 4] {
+    let rotation = pose.rotation;
     [rotation.w, rotation.i, rotation.j, rotation.k]
 }
 

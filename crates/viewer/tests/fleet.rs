@@ -71,6 +71,15 @@ async fn meanwhile<T>(
     }
 }
 
+/// The colour in which a robot's state is written.
+async fn color_of(browser: &mut Browser, robot: &str) -> String {
+    let script = format!(
+        "getComputedStyle([...document.querySelectorAll('.robot')].find((entry) => \
+         entry.querySelector('.name').textContent === '{robot}').querySelector('.state')).color"
+    );
+    browser.evaluate(&script).await.as_str().unwrap().to_owned()
+}
+
 /// Pictures at all sizes, dark and light.
 async fn check_screens(browser: &mut Browser) {
     for (scheme, color) in [("dark", GREEN), ("light", [0x00, 0x7a, 0x58])] {
@@ -131,7 +140,7 @@ async fn check_contrast(browser: &mut Browser) {
           const [r, g, b] = [...context.getImageData(0, 0, 1, 1).data].map((v) => (v <= 10 ? v / 3294.6 : ((v / 255 + 0.055) / 1.055) ** 2.4)); \
           return 0.2126 * r + 0.7152 * g + 0.0722 * b; }; \
         const card = luminance('--background', '--card'); \
-        return ['--text', '--faint', '--localized', '--odometry-only', '--lost', '--accent'].filter((name) => { \
+        return ['--text', '--faint', '--localized', '--odometry-only', '--lost', '--accent', '--moved', '--added', '--removed'].filter((name) => { \
           const word = luminance(name); \
           return (Math.max(word, card) + 0.05) / (Math.min(word, card) + 0.05) < 4.5; }).join(); })()";
     assert_eq!(browser.evaluate(script).await, "");
@@ -150,7 +159,7 @@ async fn lost_silent_and_dead_robots_of_200_are_told_within_three_seconds() {
     let well = wait_for_counts(&mut browser, "● 170 localized, ◐ 30 odometry only");
     meanwhile(&shown, |robot| Some(usual(robot)), well).await;
 
-    // Ten are lost, ten fall silent with their tokens there, ten die.
+    // Ten are lost, ten fall silent with their tokens there, five are killed, five shut down in order.
     let later = |robot: usize| match robot {
         1..=10 => Some(RobotState::Lost),
         11..=30 => None,
@@ -158,10 +167,13 @@ async fn lost_silent_and_dead_robots_of_200_are_told_within_three_seconds() {
     };
     go_on(&shown, |robot| Some(usual(robot))).await;
     let since = Instant::now();
-    for token in &mut tokens[20..30] {
-        token.take().unwrap().undeclare().await.unwrap();
+    for robot in 21..=30 {
+        if robot > 25 {
+            shown.publish_status(&name(robot), 2, RobotState::Off).await;
+        }
+        tokens[robot - 1].take().unwrap().undeclare().await.unwrap();
     }
-    let counts = "● 140 localized, ◐ 30 odometry only, ✕ 10 lost, △ 10 silent, ○ 10 gone";
+    let counts = "● 140 localized, ◐ 30 odometry only, ✕ 10 lost, △ 15 silent, ○ 5 off";
     meanwhile(&shown, later, wait_for_counts(&mut browser, counts)).await;
     let passed = since.elapsed();
     assert!(passed <= BOUND, "{passed:?}");
@@ -174,10 +186,18 @@ async fn lost_silent_and_dead_robots_of_200_are_told_within_three_seconds() {
     assert!(has("tab", "Robots") && has("slider", "Time") && has("image", "The map"), "{told:?}");
     let unnamed: Vec<_> = told.iter().filter(|(role, name)| role == "button" && name.is_empty()).collect();
     assert!(unnamed.is_empty(), "{unnamed:?}");
-    // Those that are gone are at the end, in the order of their names.
+    // A killed robot is an alarm, and amber; one that was shut down is neither.
+    assert!(has("button", "△ r21 silent, disconnected for"), "{told:?}");
+    let is_off = |name: &str| name.starts_with("r26") && name.contains("○ off, heard");
+    let buttons: Vec<_> = told.iter().filter(|(role, _)| role == "button").map(|(_, name)| name).collect();
+    assert!(buttons.iter().any(|name| is_off(name)), "{buttons:?}");
+    assert!(!buttons.iter().any(|name| name.starts_with("○")), "{buttons:?}");
+    assert_ne!(color_of(&mut browser, "r21").await, color_of(&mut browser, "r26").await);
+    assert_eq!(color_of(&mut browser, "r21").await, color_of(&mut browser, "r11").await);
+    // Those that are off are at the end, in the order of their names.
     let last =
-        "[...document.querySelectorAll('.robot .name')].slice(-10).map((name) => name.textContent).join()";
-    assert_eq!(browser.evaluate(last).await, "r21,r22,r23,r24,r25,r26,r27,r28,r29,r30");
+        "[...document.querySelectorAll('.robot .name')].slice(-5).map((name) => name.textContent).join()";
+    assert_eq!(browser.evaluate(last).await, "r26,r27,r28,r29,r30");
 
     meanwhile(&shown, later, check_screens(&mut browser)).await;
 
@@ -262,6 +282,16 @@ async fn a_stored_map_has_no_present_and_names_decide_colours_and_keys() {
     assert_eq!(
         browser.evaluate(states).await,
         "● localized, ● localized, △ silent for 12 s, ▽ unreachable for 42 min, ▽ unreachable for 2 h 30 min"
+    );
+    // Killed, and shut down in order.
+    let ended = "import('./presence.js').then(({ stateOf, stateText, alarmOf }) => [false, true].flatMap((is_off) => [1, 59, 61].map((s) => { \
+                 const robot = { heard_age_s: 0, has_ended: true, is_off, status: { state: is_off ? 'off' : 'localized', age_s: 0 } }; \
+                 const state = stateOf(robot, s, true); \
+                 return `${stateText(state, robot, s)}${alarmOf(state, robot, s) ? '!' : ''}`; })).join('; '))";
+    assert_eq!(
+        browser.evaluate(ended).await,
+        "△ silent, disconnected for 1 s!; △ silent, disconnected for 59 s!; ▽ unreachable, disconnected for 1 min!; \
+         ○ off, heard 1 s ago; ○ off, heard 59 s ago; ○ off, heard 1 min ago"
     );
     // A status that is old, beside odometry that is not.
     let stuck = "import('./presence.js').then(({ stateOf, stateText }) => { \

@@ -160,7 +160,7 @@ async fn a_viewer_that_says_much_is_disconnected_and_one_that_does_not_read_stop
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_robot_is_gone_with_its_token_and_when_it_is_silent() {
+async fn a_robot_is_gone_with_its_token_when_it_is_silent_and_when_it_says_so() {
     let shown = Shown::start().await;
     let mut socket = connect(&shown).await;
     let is_online = |update: &Value| update["robots"][0]["is_online"].clone();
@@ -180,5 +180,20 @@ async fn a_robot_is_gone_with_its_token_and_when_it_is_silent() {
         robots.iter().find(|robot| robot["robot"] == "r8").map(|robot| robot["is_online"] == true)
     };
     first(&mut socket, |update| of_r8(update) == Some(true)).await;
-    first(&mut socket, |update| of_r8(update) == Some(false)).await;
+    let silent = first(&mut socket, |update| of_r8(update) == Some(false)).await;
+    let robot = |update: &Value, name: &str| {
+        let robots = update["robots"].as_array().unwrap();
+        robots.iter().find(|robot| robot["robot"] == name).cloned().unwrap_or_default()
+    };
+    assert_eq!(robot(&silent, "r8")["is_off"], false, "{silent}");
+
+    // Off at once, with and without a token, and for as long as it is not started again.
+    shown.publish_status("r8", 14, RobotState::Off).await;
+    first(&mut socket, |update| robot(update, "r8")["is_off"] == true).await;
+    let snapshot = first(&mut connect(&shown).await, |update| update["is_snapshot"] == true).await;
+    let [killed, off] = ["r7", "r8"].map(|name| robot(&snapshot, name));
+    assert_eq!((&killed["is_off"], &killed["has_ended"]), (&false.into(), &true.into()), "{snapshot}");
+    assert_eq!((&off["is_off"], &off["has_ended"]), (&true.into(), &true.into()), "{snapshot}");
+    let _token = shown.session.liveliness().declare_token("robot/r8").await.unwrap();
+    first(&mut socket, |update| robot(update, "r8")["is_off"] == false).await;
 }

@@ -4,6 +4,7 @@
 mod api;
 #[path = "common/browser.rs"]
 mod browser;
+mod changes;
 mod common;
 mod fleet;
 mod image_upload;

@@ -5,7 +5,7 @@ mod choice;
 mod cold;
 mod kills;
 mod names;
-mod page;
+pub mod page;
 mod servers;
 mod store_faults;
 mod town;

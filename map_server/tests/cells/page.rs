@@ -29,7 +29,7 @@ async fn ask(address: SocketAddr, method: &str, path: &str, body: &[u8]) -> Vec<
     response.split_off(end + 4)
 }
 
-async fn get(address: SocketAddr, path: &str) -> Vec<u8> {
+pub async fn get(address: SocketAddr, path: &str) -> Vec<u8> {
     ask(address, "GET", path, b"").await
 }
 

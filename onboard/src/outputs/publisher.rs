@@ -11,6 +11,7 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc::{Sender, channel};
 use tokio::task::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::qos::CongestionControl;
 
 /// Messages that may be queued for the network before new ones are dropped.
 const QUEUE: usize = 64;
@@ -21,6 +22,7 @@ type Outgoing = (Arc<str>, &'static str, Vec<u8>);
 /// Publishes under `robot/{robot}/...`, declares the robot's liveliness token, and watches for others of its name.
 #[derive(Debug)]
 pub struct Publisher {
+    session: zenoh::Session,
     map: Option<String>,
     /// Added to all stamps, nanoseconds.
     clock_shift_ns: i64,
@@ -61,14 +63,16 @@ impl Publisher {
             .block_on(async { session.liveliness().declare_token(alive_key).await })
             .map_err(PublisherError::Liveliness)?;
         let name_watch = runtime.block_on(NameWatch::start(&session, robot))?;
+        let sender = session.clone();
         let sending = runtime.spawn(async move {
             while let Some((key, encoding, payload)) = messages.recv().await {
-                if let Err(error) = session.put(&*key, payload).encoding(encoding).await {
+                if let Err(error) = sender.put(&*key, payload).encoding(encoding).await {
                     tracing::debug!(%error, "a message was not published");
                 }
             }
         });
         Ok(Self {
+            session,
             map: map.map(str::to_owned),
             clock_shift_ns: 0,
             format,
@@ -114,29 +118,48 @@ impl Publisher {
 
     /// Publishes the status, also while there is no pose.
     pub fn publish_status(&self, report: &StatusReport) {
+        self.send(&self.status_key, &self.status(report));
+    }
+
+    fn status(&self, report: &StatusReport) -> RobotStatus {
         let StatusReport { status, queries, .. } = report;
-        self.send(
-            &self.status_key,
-            &RobotStatus {
-                stamp_ns: self.sensor_stamp_ns(report.stamp_or_now_ns()),
-                state: robot_state(status.localization),
-                reason: status.reason.clone(),
-                map: self.map.clone(),
-                last_map_update_ns: status.last_map_update_ns.map(|stamp_ns| self.sensor_stamp_ns(stamp_ns)),
-                keyframes_held: status.held_keyframes as u32,
-                queries_sent: queries.sent,
-                queries_answered: queries.answered,
-            },
-        );
+        RobotStatus {
+            stamp_ns: self.sensor_stamp_ns(report.stamp_or_now_ns()),
+            state: robot_state(status.localization),
+            reason: status.reason.clone(),
+            map: self.map.clone(),
+            last_map_update_ns: status.last_map_update_ns.map(|stamp_ns| self.sensor_stamp_ns(stamp_ns)),
+            keyframes_held: status.held_keyframes as u32,
+            queries_sent: queries.sent,
+            queries_answered: queries.answered,
+        }
     }
 
     /// Sends the queued messages, then undeclares the liveliness token.
-    pub fn close(self) {
-        let Self { queue, runtime, sending, alive, name_watch, .. } = self;
+    ///
+    /// # Arguments
+    /// * `last`: how a robot is that shuts down in order, which is published as [`RobotState::Off`] before the token goes; `None` for one
+    ///   that ends by a fault, whose token goes without a word.
+    pub fn close(self, last: Option<&StatusReport>) {
+        let off = last.and_then(|report| {
+            let reason = "it was shut down".to_owned();
+            encoded(self.format, &RobotStatus { state: RobotState::Off, reason, ..self.status(report) })
+        });
+        let Self { session, format, queue, status_key, runtime, sending, alive, name_watch, .. } = self;
         drop(queue);
         runtime.block_on(async {
-            if tokio::time::timeout(CLOSE_TIMEOUT, sending).await.is_err() {
-                tracing::warn!("the last messages were not published within {CLOSE_TIMEOUT:?}: the network is slow or gone");
+            let ending = async {
+                // A task that panicked has sent what it could.
+                let _ = sending.await;
+                let Some(payload) = off else { return Ok(()) };
+                // Nothing follows it that would replace it: it is not dropped where the network is slow.
+                let put = session.put(&*status_key, payload).encoding(format.encoding());
+                put.congestion_control(CongestionControl::Block).await
+            };
+            match tokio::time::timeout(CLOSE_TIMEOUT, ending).await {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => tracing::debug!(%error, "the last status was not published"),
+                Err(_) => tracing::warn!("the last messages were not published within {CLOSE_TIMEOUT:?}: the network is slow or gone"),
             }
             name_watch.stop().await;
             if let Err(error) = alive.undeclare().await {
@@ -172,13 +195,15 @@ fn odometry(motion: &Motion, clock_shift_ns: i64) -> RobotOdometry {
 }
 
 fn send<M: Message>(queue: &Sender<Outgoing>, format: Format, key: &Arc<str>, message: &M) {
-    match protocol::encode(format, message) {
-        Ok(payload) => {
-            // A full queue means a slow network: this message is dropped.
-            let _ = queue.try_send((Arc::clone(key), format.encoding(), payload));
-        }
-        Err(error) => tracing::warn!(%error, "a message is invalid and was not published"),
+    if let Some(payload) = encoded(format, message) {
+        // A full queue means a slow network: this message is dropped.
+        let _ = queue.try_send((Arc::clone(key), format.encoding(), payload));
     }
+}
+
+fn encoded<M: Message>(format: Format, message: &M) -> Option<Vec<u8>> {
+    let payload = protocol::encode(format, message);
+    payload.inspect_err(|error| tracing::warn!(%error, "a message is invalid and was not published")).ok()
 }
 
 fn robot_state(localization: Localization) -> RobotState {

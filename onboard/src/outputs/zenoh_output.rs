@@ -2,7 +2,7 @@
 
 use super::publisher::Publisher;
 use protocol::Format;
-use robot::{Connection, Estimate, Output, PublishMotion, RunReport, StatusReport};
+use robot::{Connection, Estimate, Output, PublishMotion, RunError, RunReport, StatusReport};
 use std::error::Error;
 
 /// A [`Publisher`] that begins when the robot's session is open.
@@ -56,9 +56,14 @@ impl Output for ZenohOutput {
         }
     }
 
-    fn end(&mut self, _report: &RunReport) {
-        if let Some(publisher) = self.publisher.take() {
-            publisher.close();
-        }
+    fn end(&mut self, report: &RunReport) {
+        let Some(publisher) = self.publisher.take() else { return };
+        let is_in_order = matches!(report.ended_early, None | Some(RunError::Interrupted { .. }));
+        let last = report.final_status.clone().filter(|_| is_in_order).map(|status| {
+            let mut last = StatusReport::new(report.last_state_ns, status);
+            last.queries = report.queries;
+            last
+        });
+        publisher.close(last.as_ref());
     }
 }

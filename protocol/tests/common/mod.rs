@@ -411,8 +411,13 @@ pub fn robot_odometries() -> impl Strategy<Value = RobotOdometry> {
 }
 
 pub fn robot_statuses() -> impl Strategy<Value = RobotStatus> {
-    let states =
-        vec![RobotState::OdometryOnly, RobotState::Localized, RobotState::Lost, RobotState::Starting];
+    let states = vec![
+        RobotState::OdometryOnly,
+        RobotState::Localized,
+        RobotState::Lost,
+        RobotState::Starting,
+        RobotState::Off,
+    ];
     let numbers = (any::<u32>(), any::<u64>(), any::<u64>());
     (
         any::<i64>(),

@@ -9,10 +9,16 @@ use onboard::stop::NetworkRuntime;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
-use vda5050::{BridgeEvent, BridgeSettings, BrokerAddress, BrokerUser, VehicleSettings};
+use vda5050::{
+    BridgeEvent, BridgeSettings, BrokerAddress, BrokerTls, BrokerUser, ClientIdentity, VehicleSettings,
+};
 
-/// Longest file of a password, bytes.
-const MAX_PASSWORD_FILE: u64 = 64 * 1024;
+/// Longest file of a password or a key, and of certificates: those of all authorities of a system have 200 kB. Bytes.
+const MAX_SECRET_FILE: u64 = 64 * 1024;
+const MAX_CERTIFICATES_FILE: u64 = 4 << 20;
+/// Variables of the environment that name user and password where no switch does.
+const USER_VARIABLE: &str = "DRIFTLESS_BROKER_USER";
+const PASSWORD_VARIABLE: &str = "DRIFTLESS_BROKER_PASSWORD";
 
 /// A robot, and its serial number as a vehicle.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,17 +41,27 @@ impl FromStr for NamedVehicle {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     driftless vda5050 --broker mqtt://127.0.0.1:1883 --manufacturer acme --connect tcp/10.0.0.1:7447\n  \
-    driftless vda5050 --broker mqtt://broker:1883 --manufacturer acme --robot cart7=0007 --no-connection\n\n\
+    driftless vda5050 --broker mqtt://broker:1883 --manufacturer acme --robot cart7=0007 --no-connection\n  \
+    driftless vda5050 --broker mqtts://broker --broker-ca ca.pem --broker-user fleet --broker-password-file password --manufacturer acme\n\n\
     Publishes uagv/v2/MANUFACTURER/SERIAL/visualization with agvPosition and velocity, and connection, until Ctrl-C.")]
 pub struct Args {
-    /// The MQTT broker, as mqtt://HOST:PORT
+    /// The MQTT broker, as mqtt://HOST:PORT, or mqtts://HOST:PORT with TLS
     #[arg(long, value_name = "URL")]
     broker: BrokerAddress,
-    /// User at the broker
-    #[arg(long, value_name = "NAME", requires = "broker_password_file")]
+    /// Certificates of the authorities that may have signed the broker's, PEM [default: those of this system]
+    #[arg(long, value_name = "FILE")]
+    broker_ca: Option<PathBuf>,
+    /// Certificate of the bridge, for brokers that ask for one, PEM
+    #[arg(long, value_name = "FILE", requires = "broker_key")]
+    broker_certificate: Option<PathBuf>,
+    /// Private key of this certificate, PEM, not encrypted
+    #[arg(long, value_name = "FILE", requires = "broker_certificate")]
+    broker_key: Option<PathBuf>,
+    /// User at the broker [default: $DRIFTLESS_BROKER_USER, if it is set]
+    #[arg(long, value_name = "NAME")]
     broker_user: Option<String>,
-    /// File with the password of this user
-    #[arg(long, value_name = "FILE", requires = "broker_user")]
+    /// File with the password of this user [default: the password is in $DRIFTLESS_BROKER_PASSWORD]
+    #[arg(long, value_name = "FILE")]
     broker_password_file: Option<PathBuf>,
     /// Manufacturer of the vehicles, a level of the topics
     #[arg(long, value_name = "NAME")]
@@ -77,15 +93,17 @@ pub struct Args {
 }
 
 impl Args {
-    fn settings(&self) -> Result<BridgeSettings> {
+    /// # Arguments
+    /// * `variable`: the value of a variable of the environment.
+    fn settings(&self, variable: impl Fn(&str) -> Option<String>) -> Result<BridgeSettings> {
         for (switch, value) in [("--score-tolerance", self.score_tolerance), ("--max-age", self.max_age)] {
             if !(value > 0.0 && value <= 3600.0) {
                 bail!("{switch} is {value}; it must be more than 0 and at most 3600");
             }
         }
         let mut settings = BridgeSettings::new(self.broker.clone(), &self.manufacturer);
-        let files = self.broker_user.as_ref().zip(self.broker_password_file.as_ref());
-        settings.user = files.map(|(name, file)| read_user(name, file)).transpose()?;
+        settings.tls = self.tls()?;
+        settings.user = self.user(variable)?;
         settings.interface.clone_from(&self.interface);
         for NamedVehicle { robot, serial } in &self.robot {
             if settings.serials.insert(robot.clone(), serial.clone()).is_some() {
@@ -101,12 +119,43 @@ impl Args {
         }
         Ok(settings)
     }
+
+    fn tls(&self) -> Result<BrokerTls> {
+        let certificates = |file: &PathBuf| read(file, MAX_CERTIFICATES_FILE);
+        let authorities_pem = self.broker_ca.as_ref().map(certificates).transpose()?;
+        let mut tls = BrokerTls { authorities_pem, identity: None };
+        if let Some((certificate, key)) = self.broker_certificate.as_ref().zip(self.broker_key.as_ref()) {
+            let certificates_pem = certificates(certificate)?;
+            tls.identity = Some(ClientIdentity { certificates_pem, key_pem: read(key, MAX_SECRET_FILE)? });
+        }
+        Ok(tls)
+    }
+
+    /// User and password: of a switch and a file, or of the environment.
+    fn user(&self, variable: impl Fn(&str) -> Option<String>) -> Result<Option<BrokerUser>> {
+        let of_file = self.broker_password_file.as_deref().map(read_password).transpose()?;
+        let name = self.broker_user.clone().or_else(|| variable(USER_VARIABLE));
+        match (name, of_file.or_else(|| variable(PASSWORD_VARIABLE))) {
+            (Some(name), Some(password)) => Ok(Some(BrokerUser { name, password })),
+            (None, None) => Ok(None),
+            (Some(name), None) => bail!(
+                "the password of {name} at the broker is missing: give --broker-password-file, or set {PASSWORD_VARIABLE}"
+            ),
+            (None, Some(_)) => bail!(
+                "there is a password for the broker, but no user: give --broker-user, or set {USER_VARIABLE}"
+            ),
+        }
+    }
 }
 
-fn read_user(name: &str, file: &Path) -> Result<BrokerUser> {
-    let password = files::read(file, MAX_PASSWORD_FILE).with_context(|| file.display().to_string())?;
-    let password = String::from_utf8(password).with_context(|| format!("{} is no text", file.display()))?;
-    Ok(BrokerUser { name: name.to_owned(), password: password.trim_end_matches(['\r', '\n']).to_owned() })
+fn read(file: &Path, limit: u64) -> Result<Vec<u8>> {
+    files::read(file, limit).with_context(|| file.display().to_string())
+}
+
+fn read_password(file: &Path) -> Result<String> {
+    let password = String::from_utf8(read(file, MAX_SECRET_FILE)?);
+    let password = password.with_context(|| format!("{} is no text", file.display()))?;
+    Ok(password.trim_end_matches(['\r', '\n']).to_owned())
 }
 
 /// Runs the command.
@@ -114,7 +163,7 @@ fn read_user(name: &str, file: &Path) -> Result<BrokerUser> {
 /// # Errors
 /// Switches that cannot be used, a session that cannot be opened.
 pub fn run(args: &Args) -> Result<()> {
-    let settings = args.settings()?;
+    let settings = args.settings(|name| std::env::var(name).ok())?;
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
     let runtime = NetworkRuntime::new()?;
     let opened = runtime.block_on(stop.until(open_session(&args.session.connecting())));
@@ -145,10 +194,14 @@ mod tests {
     use crate::command::Command;
 
     fn settings(line: &str) -> Result<BridgeSettings> {
+        settings_with(line, |_| None)
+    }
+
+    fn settings_with(line: &str, variable: impl Fn(&str) -> Option<String>) -> Result<BridgeSettings> {
         let line = format!("driftless vda5050 --broker mqtt://h:1 --manufacturer acme {line}");
         let cli = Cli::read(line.split_whitespace().map(Into::into))?;
         let Command::Vda5050(args) = cli.command else { bail!("another command") };
-        args.settings()
+        args.settings(variable)
     }
 
     #[test]
@@ -173,5 +226,43 @@ mod tests {
             settings(&format!("--broker-user me --broker-password-file {}", file.display())).unwrap().user;
         assert_eq!(user, Some(BrokerUser { name: "me".to_owned(), password: "two words".to_owned() }));
         assert!(settings("--broker-user me").is_err());
+        assert!(settings(&format!("--broker-password-file {}", file.display())).is_err());
+    }
+
+    #[test]
+    fn user_and_password_come_from_the_environment_where_no_switch_names_them() {
+        let both = |name: &str| match name {
+            USER_VARIABLE => Some("fleet".to_owned()),
+            PASSWORD_VARIABLE => Some("secret".to_owned()),
+            _ => None,
+        };
+        let user = |name: &str| Some(BrokerUser { name: name.to_owned(), password: "secret".to_owned() });
+        assert_eq!(settings_with("", both).unwrap().user, user("fleet"));
+        assert_eq!(settings_with("--broker-user me", both).unwrap().user, user("me"));
+        let error = settings_with("", |name| both(name).filter(|_| name == USER_VARIABLE)).unwrap_err();
+        assert!(error.to_string().contains(PASSWORD_VARIABLE), "{error}");
+        let error = settings_with("", |name| both(name).filter(|_| name == PASSWORD_VARIABLE)).unwrap_err();
+        assert!(
+            error.to_string().contains(USER_VARIABLE) && !error.to_string().contains("secret"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn certificates_are_read_and_a_key_needs_its_certificate() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, name).unwrap();
+            path.display().to_string()
+        };
+        let [ca, own, key] = ["ca.pem", "own.pem", "own.key"].map(path);
+        let tls =
+            settings(&format!("--broker-ca {ca} --broker-certificate {own} --broker-key {key}")).unwrap().tls;
+        let identity = ClientIdentity { certificates_pem: b"own.pem".to_vec(), key_pem: b"own.key".to_vec() };
+        assert_eq!((tls.authorities_pem, tls.identity), (Some(b"ca.pem".to_vec()), Some(identity)));
+        assert!(settings(&format!("--broker-certificate {own}")).is_err());
+        assert!(settings(&format!("--broker-key {key}")).is_err());
+        assert!(settings("--broker-ca nowhere.pem").is_err());
     }
 }

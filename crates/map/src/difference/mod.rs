@@ -11,16 +11,19 @@
 //! |---|---|
 //! | `compared` | [`Compared`]: what is compared of one version |
 //! | `criteria` | when an element counts as changed |
+//! | `keyframes` | [`KeyframeDifference`]: which keyframes, and where they are and were |
 //! | `motion` | how far a map moved as a whole |
 //! | `version_change` | [`VersionChange`]: what robots are told |
 //! | `summary` | [`MapDifference`]: numbers and places |
 
 mod compared;
 mod criteria;
+mod keyframes;
 mod motion;
 mod summary;
 mod version_change;
 
 pub use compared::Compared;
+pub use keyframes::{KeyframeDifference, MovedKeyframe, PlacedKeyframe};
 pub use summary::{ChangedPlace, ElementCounts, MapDifference, MotionSize, PLACE_SIZE_M};
 pub use version_change::VersionChange;

@@ -59,6 +59,8 @@ struct LiveState {
     maps: BTreeMap<String, u64>,
     /// How often each map was drawn.
     revisions: BTreeMap<String, u64>,
+    /// How often it was told how each map differs from other releases.
+    changes: BTreeMap<String, u64>,
     changed: BTreeSet<String>,
     maps_changed: bool,
     /// Name of the recorded run.
@@ -80,6 +82,8 @@ struct Update<'a> {
     maps: Option<&'a BTreeMap<String, u64>>,
     /// How often each map was drawn, with the same versions too: a page that shows another one loads it again.
     revisions: Option<&'a BTreeMap<String, u64>>,
+    /// How often it was told how each map differs from other releases.
+    changes: Option<&'a BTreeMap<String, u64>>,
     /// Name of a recorded run that can be shown.
     run: Option<&'a str>,
 }
@@ -106,6 +110,12 @@ impl Live {
         if state.maps.insert(name.to_owned(), version).is_none() {
             state.map_names.push(name.to_owned());
         }
+        state.maps_changed = true;
+    }
+
+    pub(crate) fn note_changes(&self, name: &str) {
+        let mut state = self.lock();
+        *state.changes.entry(name.to_owned()).or_default() += 1;
         state.maps_changed = true;
     }
 
@@ -223,8 +233,16 @@ impl Live {
         has_maps: bool,
     ) -> Update<'a> {
         let (time_ms, history_since_ms) = (self.now_ms(), state.history.since_ms());
-        let (maps, revisions) = (has_maps.then_some(&state.maps), has_maps.then_some(&state.revisions));
-        Update { is_snapshot, time_ms, history_since_ms, robots, maps, revisions, run: state.run.as_deref() }
+        Update {
+            is_snapshot,
+            time_ms,
+            history_since_ms,
+            robots,
+            maps: has_maps.then_some(&state.maps),
+            revisions: has_maps.then_some(&state.revisions),
+            changes: has_maps.then_some(&state.changes),
+            run: state.run.as_deref(),
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveState> {

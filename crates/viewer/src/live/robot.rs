@@ -31,7 +31,7 @@ impl ViewedPose {
     fn of(pose: &PoseWithCovariance) -> Self {
         Self {
             position: pose.pose.translation.into(),
-            rotation_wxyz: rotation_wxyz(pose),
+            rotation_wxyz: rotation_wxyz(&pose.pose),
             position_covariance: position_covariance(pose),
             sigma_theta_rad: pose.sigma_theta_rad(),
         }
@@ -103,8 +103,10 @@ impl<T> Dated<T> {
 pub(super) struct ViewedRobot {
     robot: String,
     is_online: bool,
-    /// Its liveliness token went.
+    /// Its session ended: its liveliness token went, or it shut down.
     has_ended: bool,
+    /// It shut down in order.
+    is_off: bool,
     /// Time since the last sign of life.
     heard_age_s: f64,
     pose: Option<Dated<ViewedGlobal>>,
@@ -135,6 +137,7 @@ impl ViewedRobot {
             robot: name.to_owned(),
             is_online: true,
             has_ended: false,
+            is_off: false,
             heard_age_s: 0.0,
             pose: None,
             odometry: None,
@@ -149,7 +152,7 @@ impl ViewedRobot {
     /// Its liveliness token came or went.
     pub(super) fn note_token(&mut self, is_there: bool) {
         self.presence.note_token(is_there, Instant::now());
-        self.is_online = is_there;
+        self.is_online = self.presence.is_online(Instant::now());
     }
 
     /// Ends the presence of a robot that is silent.
@@ -164,7 +167,7 @@ impl ViewedRobot {
 
     pub(super) fn note(&mut self, published: Published) {
         let now = Instant::now();
-        self.presence.note_message(now);
+        self.presence.note_published(&published, now);
         self.is_online = self.presence.is_online(now);
         match published {
             Published::Pose(pose) => {
@@ -228,7 +231,7 @@ impl ViewedRobot {
         history: &mut History,
     ) {
         let state = match self.status.as_ref().map(|status| status.value.state) {
-            _ if self.presence.has_ended() => ShownState::Gone,
+            _ if self.presence.is_off() => ShownState::Off,
             _ if !self.is_online => ShownState::Silent,
             state => ShownState::of(state),
         };
@@ -251,6 +254,7 @@ impl ViewedRobot {
     /// States how old everything is at this moment.
     pub(super) fn set_ages(&mut self) {
         self.has_ended = self.presence.has_ended();
+        self.is_off = self.presence.is_off();
         self.heard_age_s = self.presence.heard_age_s(Instant::now());
         self.pose.iter_mut().for_each(Dated::set_age);
         self.odometry.iter_mut().for_each(Dated::set_age);

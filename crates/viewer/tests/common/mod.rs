@@ -159,6 +159,7 @@ fn reason(state: RobotState) -> &'static str {
         RobotState::Localized => "the map was last used 0.4 s ago",
         RobotState::OdometryOnly => "no answer from the map for 12.5 s",
         RobotState::Starting => "at rest for 0.2 s, 0.5 s are needed",
+        RobotState::Off => "it was shut down",
         RobotState::Lost => "velocity sigma 1.2 m/s exceeds 1.0: was tracking lost?",
     }
 }
