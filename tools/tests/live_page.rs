@@ -213,7 +213,7 @@ async fn in_a_browser_the_robot_moves_while_it_runs() {
 
     browser.wait_for("document.getElementById('switch').hidden === false").await;
     assert!(!running.is_under_way());
-    browser.wait_for("document.querySelector('.robot .state').textContent.includes('gone')").await;
+    browser.wait_for("document.querySelector('.robot .state').textContent.includes('off')").await;
     browser.press("v").await;
     browser.wait_for("document.getElementById('clock')?.value.includes(' of ')").await;
     browser.wait_for("window.driftless.isReady").await;
