@@ -26,7 +26,9 @@ pub enum BrokerTlsError {
     #[error("a certificate of the authorities cannot be used: {0}")]
     Authority(rustls::Error),
     /// This system has no authorities.
-    #[error("this system has no certificates of authorities ({reason}): those of the broker are needed, in PEM")]
+    #[error(
+        "this system has no certificates of authorities ({reason}): those of the broker are needed, in PEM"
+    )]
     NoSystemAuthorities {
         /// What went wrong, if anything did.
         reason: String,
