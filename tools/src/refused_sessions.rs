@@ -61,7 +61,7 @@ impl RefusedSessions {
     /// Those of a map, with the same settings and version of the program; none where nothing is remembered, or it cannot be read.
     pub fn read(map: &Path, settings: &Settings) -> RefusedSessions {
         let judged_by = format!("{} {settings:?}", env!("CARGO_PKG_VERSION"));
-        let text = std::fs::read(Self::path(map)).unwrap_or_default();
+        let text = files::read(Self::path(map), files::MAX_TEXT_BYTES).unwrap_or_default();
         let stored: Option<RefusedSessions> = serde_json::from_slice(&text).ok();
         let none = || RefusedSessions { judged_by: judged_by.clone(), sessions: BTreeMap::new() };
         stored.filter(|stored| stored.judged_by == judged_by).unwrap_or_else(none)

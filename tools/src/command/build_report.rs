@@ -152,11 +152,3 @@ pub(super) fn print_left_out(extractors: &[String]) {
         );
     }
 }
-
-/// What a map has that other forms of a map do not carry.
-pub(super) fn left_out(contents: &MapContents) -> Vec<String> {
-    let features =
-        contents.added_features.iter().map(|added| format!("features of {}", added.kind.extractor));
-    let images = (!contents.images.is_empty()).then(|| format!("{} images", contents.images.len()));
-    features.chain(images).collect()
-}

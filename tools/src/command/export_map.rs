@@ -2,10 +2,9 @@
 
 use std::path::PathBuf;
 
-use map::store;
+use map::{MapContents, store};
 use serde_json::json;
 
-use super::build_report::left_out;
 use map_io::text::write_map;
 
 /// Arguments.
@@ -55,4 +54,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// What a map has that the text form does not carry.
+fn left_out(contents: &MapContents) -> Vec<String> {
+    let features =
+        contents.added_features.iter().map(|added| format!("features of {}", added.kind.extractor));
+    let images = (!contents.images.is_empty()).then(|| format!("{} images", contents.images.len()));
+    features.chain(images).collect()
 }
