@@ -3,7 +3,6 @@
 use bags::Bag;
 use rusqlite::Connection;
 use std::path::Path;
-use std::time::{Duration, Instant};
 
 const TOPICS: &str =
     "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);
@@ -13,8 +12,9 @@ fn written(path: &Path, statements: &str) {
     Connection::open(path).unwrap().execute_batch(&format!("{TOPICS}{statements}")).unwrap();
 }
 
+/// Its rows have no end: whoever reads them does not come back.
 #[test]
-fn a_view_in_the_place_of_a_table_is_refused_at_once() {
+fn a_view_in_the_place_of_a_table_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bag.db3");
     written(
@@ -22,10 +22,8 @@ fn a_view_in_the_place_of_a_table_is_refused_at_once() {
         "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n)
          SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n;",
     );
-    let begin = Instant::now();
     let error = Bag::open(&path).unwrap_err().to_string();
     assert!(error.contains("messages is not a table"), "{error}");
-    assert!(begin.elapsed() < Duration::from_secs(1));
 }
 
 #[test]
