@@ -25,16 +25,16 @@ pub enum Refusal {
     Extension(Box<ExtendError>),
     /// The places that it shows do not agree with its trajectory.
     #[error(
-        "it contradicts the map: {found} of its keyframes show a place of the map, and {agreeing} of them agree with its trajectory; at \
-         least {wanted:.0} must. Is the calibration the robot's? (`driftless check-calibration`)"
+        "it contradicts the map: {found} of its keyframes show a place of the map that looks like no other one, and {agreeing} of them \
+         agree with its trajectory; at least {wanted} must. Is the calibration the robot's? (`driftless check-calibration`)"
     )]
     Places {
-        /// Keyframes that show a place.
+        /// Keyframes that show a place that looks like no other one.
         found: usize,
         /// Those that agree.
         agreeing: usize,
         /// How many must.
-        wanted: f64,
+        wanted: usize,
     },
     /// Its pixels do not fit its own trajectory.
     #[error(
@@ -90,8 +90,8 @@ impl From<ExtendError> for Refusal {
             ExtendError::SessionInMap(overlap) => Refusal::InMap(overlap),
             ExtendError::AlreadyInMap { .. } => Refusal::ImageInMap(Box::new(error)),
             // Images that show the map everywhere, and a trajectory that is nowhere in it.
-            ExtendError::NotConnected { found, agreeing, wanted, .. } if found >= 2 * wanted => {
-                Refusal::Places { found, agreeing, wanted: wanted as f64 }
+            ExtendError::NotConnected { told_apart, agreeing, wanted, .. } if told_apart >= 2 * wanted => {
+                Refusal::Places { found: told_apart, agreeing, wanted }
             }
             ExtendError::NotConnected { .. } => Refusal::OtherPlace(Box::new(error)),
             error => Refusal::Extension(Box::new(error)),

@@ -23,6 +23,9 @@ use crate::sightings::sightings;
 /// A session contradicts the map where what it sees is less likely than this.
 const CONFIDENCE: f64 = 0.9999;
 
+/// Keyframes whose place looks like no other one, at least, that locate a session where most of what it shows repeats.
+const LEAST_TOLD_APART: usize = 3;
+
 /// Maps with more keyframes are worked on in the part that the session shows.
 const LARGE_MAP: usize = 400;
 /// Keyframes of such a part, at least and at most; between them, ...
@@ -186,17 +189,39 @@ fn ids_of_new(before: &MapContents, after: &MapContents) -> Option<RangeInclusiv
     Some(new().min()?..=new().max()?)
 }
 
+/// Checks that the places of the map that a session shows agree with its trajectory: most of all, or most of those that look like no
+/// other one. Where a place repeats, a drive that begins beyond the map looks like the map wherever that looks alike.
+fn check_places(extension: &ExtensionReport, settings: &Settings) -> Result<(), Refusal> {
+    let ExtensionReport { places, agreeing_places, places_told_apart, agreeing_told_apart, .. } = *extension;
+    let wanted = |found: usize| (settings.min_agreeing * found as f64).ceil() as usize;
+    let of_told_apart = wanted(places_told_apart).max(LEAST_TOLD_APART);
+    if agreeing_places >= wanted(places) || agreeing_told_apart >= of_told_apart {
+        return Ok(());
+    }
+    if places_told_apart >= 2 * LEAST_TOLD_APART {
+        return Err(Refusal::Places {
+            found: places_told_apart,
+            agreeing: agreeing_told_apart,
+            wanted: of_told_apart,
+        });
+    }
+    Err(Refusal::OtherPlace(Box::new(ExtendError::NotConnected {
+        keyframes: extension.new_keyframes,
+        found: places,
+        told_apart: places_told_apart,
+        agreeing: agreeing_places,
+        wanted: wanted(places),
+    })))
+}
+
 /// Checks that a session agrees with the map, as far as both state it.
 fn check_consistency(
     map: &MapContents,
     extension: &ExtensionReport,
     settings: &Settings,
 ) -> Result<(), Refusal> {
-    let ExtensionReport { places, agreeing_places, sigma_px, .. } = *extension;
-    let wanted = settings.min_agreeing * places as f64;
-    if (agreeing_places as f64) < wanted {
-        return Err(Refusal::Places { found: places, agreeing: agreeing_places, wanted });
-    }
+    check_places(extension, settings)?;
+    let sigma_px = extension.sigma_px;
     let limit = settings.max_pixel_ratio * map.info.sigma_px;
     if sigma_px > limit {
         return Err(Refusal::Pixels { sigma_px, map_px: map.info.sigma_px, limit });
@@ -208,4 +233,42 @@ fn check_consistency(
         return Err(Refusal::Moved { chi_square, freedom, limit });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A session of 30 keyframes.
+    fn judged(places: usize, agreeing: usize, told_apart: usize, of_them: usize) -> Result<(), Refusal> {
+        let mut extension = ExtensionReport::default();
+        extension.new_keyframes = 30;
+        extension.places = places;
+        extension.agreeing_places = agreeing;
+        extension.places_told_apart = told_apart;
+        extension.agreeing_told_apart = of_them;
+        check_places(&extension, &Settings::default())
+    }
+
+    #[test]
+    fn places_that_repeat_say_nothing_against_a_session() {
+        judged(20, 10, 0, 0).unwrap();
+        judged(20, 7, 6, 6).unwrap();
+        judged(20, 4, 3, 3).unwrap();
+        for [agreeing, told_apart, of_them] in [[3, 2, 2], [9, 0, 0], [3, 5, 2]] {
+            let refusal = judged(20, agreeing, told_apart, of_them).unwrap_err();
+            assert_eq!(refusal.kind(), "other-place", "{refusal}");
+            assert!(!refusal.to_string().contains("calibration"), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn places_that_look_like_no_other_one_contradict_a_session() {
+        let refusal = judged(20, 5, 15, 5).unwrap_err();
+        assert_eq!(refusal.kind(), "contradiction");
+        assert!(
+            refusal.to_string().contains("15") && refusal.to_string().contains("at least 8"),
+            "{refusal}"
+        );
+    }
 }

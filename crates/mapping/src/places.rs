@@ -22,6 +22,8 @@ const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
 const PLACES_AN_IMAGE: usize = 4;
 /// Keyframes that must agree on where the recording is.
 pub(super) const MIN_AGREEING: usize = 3;
+/// A place that looks like no other one counts as much as so many that do.
+const TOLD_APART_WEIGHT: usize = 3;
 /// Two places agree on where the recording is up to this rotation (rad) and distance (m), and ...
 const AGREEMENT: [f64; 2] = [0.1, 0.5];
 /// ... this part of the distance between them, for the drift of both.
@@ -34,6 +36,8 @@ pub(super) struct StoredPlace {
     pub(super) relative: RelativePose,
     /// Features of the view and the landmarks that they show.
     pub(super) matches: Vec<(usize, LandmarkId)>,
+    /// Whether it explains the image so much better than all others that the image alone tells where it is.
+    pub(super) is_told_apart: bool,
 }
 
 /// A view whose place is searched.
@@ -50,12 +54,13 @@ pub(super) struct PlaceQuery<'a> {
     pub(super) features: &'a FeatureSet,
 }
 
-/// What of a map is needed to find places in it: keyframes as if they were exact, and landmarks of the primary kind.
+/// What of a map is needed to find places in it: keyframes as if they were exact, landmarks of the primary kind, and what looks alike.
 pub(super) fn searchable(stored: &MapContents) -> MapContents {
     let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
     let mut searched = MapContents {
         keyframes: stored.keyframes.clone(),
         landmarks: stored.landmarks.clone(),
+        aliases: stored.aliases.clone(),
         ..MapContents::empty(stored.info.clone())
     };
     for keyframe in &mut searched.keyframes {
@@ -89,9 +94,8 @@ pub(super) fn find_places(
         let global_from_camera =
             query.view_from_camera.map_or(poses[view], |camera| poses[view].compose(&camera));
         let gravity_in_camera = Some(global_from_camera.rotation.inverse() * down);
-        let places =
-            map.verified_places(query.camera, query.features, gravity_in_camera, &|_| true, &options)?;
-        for place in places.into_iter().take(PLACES_AN_IMAGE) {
+        let places = map.weighed_places(query.camera, query.features, gravity_in_camera, &options)?;
+        for (place, is_told_apart) in places.into_iter().take(PLACES_AN_IMAGE) {
             let stored_view = view_of[&place.keyframe];
             let keyframe = &stored.keyframes[stored_view - poses.len()].global_from_keyframe.pose;
             let found_pose = place.global_from_camera;
@@ -106,14 +110,14 @@ pub(super) fn find_places(
             let in_view =
                 |(feature, landmark): (usize, LandmarkId)| (query.first_feature + feature, landmark);
             let matches = place.inliers.into_iter().map(in_view).collect();
-            found.push(StoredPlace { relative, matches });
+            found.push(StoredPlace { relative, matches, is_told_apart });
         }
     }
     progress(Stage::PlaceRecognition, queries.len(), queries.len());
     Ok(found)
 }
 
-/// Where the frame of the recording is in G: by the place with which the most views agree.
+/// Where the frame of the recording is in G: by the place with which the most others agree.
 pub(super) struct Alignment {
     /// Turned about the vertical only.
     pub(super) global_from_recording: Pose,
@@ -142,7 +146,10 @@ pub(super) fn align(places: &[StoredPlace], poses: &[Pose]) -> Option<Alignment>
         };
         (0..places.len()).filter(agrees).collect()
     };
-    let best = (0..places.len()).map(|first| (first, agreeing(first))).max_by_key(|(_, all)| all.len());
+    let weight = |all: &[usize]| -> usize {
+        all.iter().map(|&at| if places[at].is_told_apart { TOLD_APART_WEIGHT } else { 1 }).sum()
+    };
+    let best = (0..places.len()).map(|first| (first, agreeing(first))).max_by_key(|(_, all)| weight(all));
     let (first, all) = best?;
     let mut agreeing: Vec<StoredPlace> = all.iter().map(|&at| places[at].clone()).collect();
     agreeing.swap(0, all.iter().position(|&at| at == first)?);
@@ -155,6 +162,16 @@ pub(super) fn view_count(places: &[StoredPlace]) -> usize {
     places.iter().map(|place| place.relative.views[1]).collect::<BTreeSet<_>>().len()
 }
 
+/// Number of views with a place that is told apart.
+pub(super) fn told_apart_count(places: &[StoredPlace]) -> usize {
+    places
+        .iter()
+        .filter(|place| place.is_told_apart)
+        .map(|place| place.relative.views[1])
+        .collect::<BTreeSet<_>>()
+        .len()
+}
+
 /// The pose of the view in G by a place.
 fn measured(relative: &RelativePose, poses: &[Pose]) -> Pose {
     poses[relative.views[0]].compose(&relative.first_from_second)
@@ -165,4 +182,40 @@ pub(super) fn turned_about_vertical(global: &Pose, own: &Pose) -> Pose {
     let turn = rotation::log(&(global.rotation * own.rotation.inverse()));
     let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
     Pose::new(yaw, global.translation - yaw * own.translation)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix6;
+
+    use super::*;
+
+    /// A drive along x, five views of which look like a part of the map where they are not, two like where they are.
+    #[test]
+    fn places_that_look_like_no_other_one_align_against_more_that_repeat() {
+        let along = |x: f64| Pose::new(rotation::exp(&Vector3::zeros()), Vector3::new(x, 0.0, 0.0));
+        let mut poses: Vec<Pose> = (0..8).map(|view| along(2.0 * f64::from(view))).collect();
+        let keyframe = poses.len();
+        poses.push(along(0.0));
+        let place = |view: usize, shift_m: f64, is_told_apart: bool| StoredPlace {
+            relative: RelativePose {
+                views: [keyframe, view],
+                first_from_second: along(poses[view].translation.x + shift_m),
+                information: Matrix6::identity(),
+            },
+            matches: Vec::new(),
+            is_told_apart,
+        };
+        let mut places: Vec<StoredPlace> = (0..5).map(|view| place(view, -12.0, false)).collect();
+        places.extend([5, 7].map(|view| place(view, 3.0, false)));
+        let shift =
+            |places: &[StoredPlace]| align(places, &poses).unwrap().global_from_recording.translation.x;
+        assert!((shift(&places) + 12.0).abs() < 1e-9);
+        for place in &mut places[5..] {
+            place.is_told_apart = true;
+        }
+        assert!((shift(&places) - 3.0).abs() < 1e-9);
+        let agreeing = align(&places, &poses).unwrap().agreeing;
+        assert_eq!((view_count(&agreeing), told_apart_count(&agreeing)), (2, 2));
+    }
 }

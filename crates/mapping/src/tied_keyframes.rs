@@ -53,7 +53,9 @@ mod tests {
             first_from_second: Pose::identity(),
             information: Matrix6::identity(),
         };
-        (0..count).map(|view| StoredPlace { relative: relative(view), matches: Vec::new() }).collect()
+        (0..count)
+            .map(|view| StoredPlace { relative: relative(view), matches: Vec::new(), is_told_apart: true })
+            .collect()
     }
 
     fn pair_of(place: &StoredPlace) -> BTreeSet<usize> {

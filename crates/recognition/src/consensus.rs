@@ -37,17 +37,9 @@ pub(crate) fn find_consensus(
     options: &RecognitionOptions,
 ) -> Consensus {
     let Some(winner) = places.first() else { return Consensus::Nothing };
-    let winner_support = support(&verified, winner);
-    let is_rival = |(number, rival): (usize, &Vec<usize>)| {
-        let is_less_likely = hypotheses
-            .get(number)
-            .is_some_and(|rival| hypotheses[0].log_odds() - rival.log_odds() >= options.min_fix_log_odds);
-        let least = options.ambiguity_ratio * winner_support as f64;
-        !is_less_likely && support(&verified, rival) as f64 >= least
-    };
-    if places.iter().enumerate().skip(1).any(is_rival) {
+    if has_rival(&verified, places, hypotheses, options) {
         let global_from_camera = verified[winner[0]].global_from_camera;
-        let place = RecognizedPlace { global_from_camera, features: winner_support };
+        let place = RecognizedPlace { global_from_camera, features: support(&verified, winner) };
         return Consensus::Ambiguous(Box::new(place));
     }
     let mut at = 0;
@@ -56,6 +48,23 @@ pub(crate) fn find_consensus(
         winner.contains(&(at - 1))
     });
     Consensus::Place(verified)
+}
+
+/// Whether another place explains an image nearly as well as the first one does.
+pub(crate) fn has_rival(
+    verified: &[VerifiedKeyframe],
+    places: &[Vec<usize>],
+    hypotheses: &[Hypothesis],
+    options: &RecognitionOptions,
+) -> bool {
+    let Some(winner) = places.first() else { return false };
+    let least = options.ambiguity_ratio * support(verified, winner) as f64;
+    places.iter().enumerate().skip(1).any(|(number, rival)| {
+        let is_less_likely = hypotheses
+            .get(number)
+            .is_some_and(|rival| hypotheses[0].log_odds() - rival.log_odds() >= options.min_fix_log_odds);
+        !is_less_likely && support(verified, rival) as f64 >= least
+    })
 }
 
 /// Sorts verified keyframes, most inliers first, and groups those that agree on a place: the place that explains most query

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use protocol::{FeatureSet, KeyframeId, LandmarkId};
 use vision::Matcher;
 
+use super::consensus::{group_places, has_rival};
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -20,6 +21,18 @@ pub struct VerifiedPlace {
     pub global_from_camera: PoseWithCovariance,
     /// The matches that agree with the pose: features of the image, by number, and landmarks.
     pub inliers: Vec<(usize, LandmarkId)>,
+}
+
+impl VerifiedPlace {
+    fn new(map: &LoadedMap, found: VerifiedKeyframe) -> VerifiedPlace {
+        let observed = map.observations.of(found.keyframe);
+        let landmark = |at: usize| map.landmarks.ids[observed.landmark(at)];
+        VerifiedPlace {
+            keyframe: map.poses.keyframes[found.keyframe].id,
+            global_from_camera: found.global_from_camera,
+            inliers: found.inliers.iter().map(|inlier| (inlier.query, landmark(inlier.train))).collect(),
+        }
+    }
 }
 
 impl LoadedMap {
@@ -46,19 +59,39 @@ impl LoadedMap {
         let map = self.for_features(features);
         let image = Image { camera, features, descriptors: map.view(features)?, gravity_in_camera };
         let is_eligible = |at: usize| eligible(self.poses.keyframes[at].id);
-        let place = |found: VerifiedKeyframe| {
-            let observed = map.observations.of(found.keyframe);
-            let landmark = |at: usize| map.landmarks.ids[observed.landmark(at)];
-            VerifiedPlace {
-                keyframe: self.poses.keyframes[found.keyframe].id,
-                global_from_camera: found.global_from_camera,
-                inliers: found.inliers.iter().map(|inlier| (inlier.query, landmark(inlier.train))).collect(),
-            }
-        };
         let verified = map.verified_keyframes(&image, is_eligible, options)?;
-        let mut places: Vec<VerifiedPlace> = verified.into_iter().map(place).collect();
+        let mut places: Vec<VerifiedPlace> =
+            verified.into_iter().map(|found| VerifiedPlace::new(map, found)).collect();
         places.sort_by_key(|place| std::cmp::Reverse(place.inliers.len()));
         Ok(places)
+    }
+
+    /// As [`LoadedMap::verified_places`], in the whole map, each with whether it is told apart: it is of the place that explains the image
+    /// so much better than all others, and than a picture that repeats, that a client without an estimator would be told
+    /// ([`RecognitionOptions::min_fix_log_odds`]).
+    ///
+    /// # Errors
+    /// [`QueryError`] where the image cannot be compared with the map.
+    pub fn weighed_places(
+        &self,
+        camera: &Camera,
+        features: &FeatureSet,
+        gravity_in_camera: Option<Vector3<f64>>,
+        options: &RecognitionOptions,
+    ) -> Result<Vec<(VerifiedPlace, bool)>, QueryError> {
+        if features.len() < options.min_inliers {
+            return Ok(Vec::new());
+        }
+        let map = self.for_features(features);
+        let image = Image { camera, features, descriptors: map.view(features)?, gravity_in_camera };
+        let mut verified = map.verified_keyframes(&image, |_| true, options)?;
+        let groups = group_places(&mut verified, options);
+        let hypotheses = map.hypotheses(&image, &verified, &groups, map.aliasing_rate().log_odds());
+        let is_certain = !has_rival(&verified, &groups, &hypotheses, options)
+            && hypotheses.first().is_some_and(|place| place.log_odds() >= options.min_fix_log_odds);
+        let is_told_apart = |at: usize| is_certain && groups[0].contains(&at);
+        let weighed = |(at, found)| (VerifiedPlace::new(map, found), is_told_apart(at));
+        Ok(verified.into_iter().enumerate().map(weighed).collect())
     }
 
     /// Those of the keyframes with the most votes that show what an image shows, each verified for itself, most votes first.

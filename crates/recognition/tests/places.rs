@@ -85,6 +85,32 @@ fn of_two_places_that_look_alike_neither_wins() {
 }
 
 #[test]
+fn places_that_look_like_no_other_one_are_told_apart() {
+    let place = Place::new(&PlaceOptions { keyframes: 10, landmarks: 600, ..PlaceOptions::default() });
+    let (alone, (_, twins)) = (loaded(&place), twin_halls());
+    let mut rng = StdRng::seed_from_u64(16);
+    let mut told_apart = 0;
+    for _ in 0..10 {
+        let truth = random_pose(&place, &mut rng);
+        let request = place.request(&truth, 1, &mut rng);
+        let places = |map: &LoadedMap| {
+            map.weighed_places(&request.camera, &request.features, None, &RecognitionOptions::default())
+                .unwrap()
+        };
+        let of_twins = places(&twins);
+        assert!(!of_twins.is_empty() && of_twins.iter().all(|(_, is_told_apart)| !is_told_apart));
+        let of_one = places(&alone);
+        let certain = of_one.iter().filter(|(_, is_told_apart)| *is_told_apart);
+        for (found, _) in certain.clone() {
+            let error = truth.local(&found.global_from_camera.pose);
+            assert!(error.fixed_rows::<3>(3).norm() < 0.5, "{error}");
+        }
+        told_apart += usize::from(certain.count() > 0);
+    }
+    assert!(told_apart >= 8, "only {told_apart} of 10");
+}
+
+#[test]
 fn a_prior_tells_places_that_look_alike_apart() {
     let (place, map) = twin_halls();
     let mut rng = StdRng::seed_from_u64(14);

@@ -45,14 +45,17 @@ pub enum ExtendError {
     },
     /// Too few images show a place of the map.
     #[error(
-        "the recording is not connected to the map: {found} of its {keyframes} keyframes show a place of the map, and {agreeing} of \
-         these agree on where; {wanted} are needed. Record from a place in the map, with similar views"
+        "the recording is not connected to the map: {found} of its {keyframes} keyframes look like a place of the map ({told_apart} of \
+         them like no other one), and {agreeing} of these agree on where; {wanted} are needed. Record from a place in the map, with \
+         similar views"
     )]
     NotConnected {
         /// Keyframes of the recording.
         keyframes: usize,
         /// Those for which recognition found a place.
         found: usize,
+        /// Those that look like one place and like no other one.
+        told_apart: usize,
         /// Those that agree with each other.
         agreeing: usize,
         /// How many must.

@@ -33,7 +33,9 @@ use crate::keyframe_view::{image_count, keyframes};
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
 use crate::options::{BuildOptions, MapPoses};
-use crate::places::{Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
+use crate::places::{
+    Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, told_apart_count, view_count,
+};
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, state_covariance, stated_covariance};
 use crate::session::check_new_recording;
@@ -88,6 +90,7 @@ pub fn extend_map(
         sigma_px,
         stored_keyframes: stored.keyframes.len(),
         places: view_count(&found),
+        places_told_apart: told_apart_count(&found),
         ..ExtensionReport::default()
     };
     let mut both = session;
@@ -95,6 +98,7 @@ pub fn extend_map(
     let not_connected = |agreeing: usize| ExtendError::NotConnected {
         keyframes: report.new_keyframes,
         found: report.places,
+        told_apart: report.places_told_apart,
         agreeing,
         wanted: MIN_AGREEING,
     };
@@ -112,6 +116,7 @@ pub fn extend_map(
     }
     let (mut both, places) = tie(&mut builder, &stored_poses, both, places)?;
     report.agreeing_places = view_count(&places);
+    report.agreeing_told_apart = told_apart_count(&places);
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(report.agreeing_places));
     }

@@ -22,6 +22,10 @@ pub struct ExtensionReport {
     pub places: usize,
     /// Those of them that agree with each other and with the adjusted trajectory.
     pub agreeing_places: usize,
+    /// Keyframes of the recording that show a place of the map that looks like no other one.
+    pub places_told_apart: usize,
+    /// Those of them that agree.
+    pub agreeing_told_apart: usize,
     /// Keyframes of the map that these places tie to the recording; all others follow by their correlations with these.
     pub tied_keyframes: usize,
     /// How far the map moves the recording's keyframes relative to each other, squared, in units of what is to be expected: chi-square

@@ -53,6 +53,7 @@ pub fn part_shown(
         return Err(ExtendError::NotConnected {
             keyframes: probes.len(),
             found: images,
+            told_apart: 0,
             agreeing: 0,
             wanted: MIN_AGREEING,
         });
