@@ -3,8 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
+use geometry::Pose;
 use map::{Landmark, LandmarkExistence, MapContents, edit};
 use mapping::BuildReport;
+use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
@@ -14,6 +16,8 @@ use crate::sightings::Sighting;
 
 /// Probability that a landmark which is gone is taken for seen: another one that looks alike is near.
 pub(crate) const FALSE_SIGHTING: f64 = 0.03;
+/// Landmarks this near to each other may be of one thing that was carried away (m).
+const SAME_OBJECT_M: f64 = 0.3;
 /// Landmarks that are there with a smaller probability support no keyframe. One that nobody passes keeps at least half of one.
 const MIN_SUPPORT: f64 = 0.2;
 
@@ -136,6 +140,36 @@ pub(crate) fn remove_gone(contents: &mut MapContents, settings: &Settings) -> Go
     contents.drop_existence_of_others();
     edit::remove_keyframes(contents, &poor);
     Gone { landmarks: gone, positions_m, keyframes: poor }
+}
+
+/// Takes out the landmarks of added kinds that are gone: no session says what it saw of them, so that they go with the landmark of the
+/// primary kind that is nearest to where they are.
+///
+/// # Arguments
+/// * `gone_m`: where landmarks of the primary kind were, in G (m), that are taken out already.
+pub(crate) fn remove_gone_of_added_kinds(contents: &mut MapContents, gone_m: &[[f64; 3]]) {
+    if gone_m.is_empty() || contents.added_features.is_empty() {
+        return;
+    }
+    let gone: Vec<Vector3<f64>> = gone_m.iter().copied().map(Vector3::from).collect();
+    let nearest = |all: &[Vector3<f64>], position: &Vector3<f64>| {
+        all.iter().map(|of| (of - position).norm()).fold(f64::INFINITY, f64::min)
+    };
+    let left: Vec<Vector3<f64>> = contents
+        .landmarks_in_global()
+        .map(|(_, position)| position)
+        .filter(|position| nearest(&gone, position) < 2.0 * SAME_OBJECT_M)
+        .collect();
+    let poses: BTreeMap<KeyframeId, Pose> =
+        contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
+    for added in &mut contents.added_features {
+        added.landmarks.retain(|landmark| {
+            let Some(anchor) = poses.get(&landmark.anchor) else { return true };
+            let position = anchor.transform(&landmark.position_in_anchor);
+            let from_gone = nearest(&gone, &position);
+            from_gone > SAME_OBJECT_M || nearest(&left, &position) <= from_gone
+        });
+    }
 }
 
 /// How many landmarks each keyframe observes of those that a condition holds for.

@@ -14,7 +14,7 @@ use sensors::Sequence;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 use crate::coverage::surplus;
-use crate::gone::{remove_gone, update_existence};
+use crate::gone::{remove_gone, remove_gone_of_added_kinds, update_existence};
 use crate::refusal::Refusal;
 use crate::report::{RemovedKeyframes, SessionReport};
 use crate::settings::Settings;
@@ -71,6 +71,7 @@ pub(crate) fn take_session_by_parts(
     let mut work = Work { sequence, build, settings, progress };
     if map.keyframes.len() <= large {
         let Taken { mut contents, report, .. } = work.take(map, None)?;
+        remove_gone_of_added_kinds(&mut contents, &report.gone_m);
         contents.count_sessions();
         contents.validate()?;
         *map = contents;
@@ -85,6 +86,7 @@ pub(crate) fn take_session_by_parts(
     contents.validate()?;
     let has_new = report.kept_keyframes > 0;
     put_back(map, &part, contents, &lost, errors);
+    remove_gone_of_added_kinds(map, &report.gone_m);
     if has_new {
         find_aliases_of_independent(map, work.progress).map_err(ExtendError::from)?;
     }

@@ -6,9 +6,10 @@
 //!
 //! [`MapContents::landmarks`]: crate::MapContents::landmarks
 
-use protocol::{DescriptorFormat, DescriptorKind, KeyframeId};
+use protocol::{DescriptorFormat, DescriptorKind, KeyframeId, LandmarkId};
 use serde::{Deserialize, Serialize};
 
+use crate::contents::MapContents;
 use crate::model::{Landmark, MapMetadata};
 
 /// First two bytes of a JPEG file.
@@ -56,6 +57,26 @@ pub struct KeptImage {
 impl std::fmt::Debug for KeptImage {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(formatter, "KeptImage of keyframe {}, {} bytes", self.keyframe, self.jpeg.len())
+    }
+}
+
+/// Ids that stay free before the landmarks of an added kind where these get others: for new ones of the kinds before.
+const FREE_IDS: LandmarkId = 1 << 20;
+
+impl MapContents {
+    /// Gives the landmarks of each added kind ids beyond those of the kinds before, where they have not. Within a kind their order stays.
+    pub fn renumber_added(&mut self) {
+        let mut last = self.landmarks.iter().map(|landmark| landmark.id).max();
+        for added in &mut self.added_features {
+            let ids = || added.landmarks.iter().map(|landmark| landmark.id);
+            let (Some(first), Some(end)) = (ids().min(), ids().max()) else { continue };
+            let shift = match last {
+                Some(before) if first <= before => before - first + 1 + FREE_IDS,
+                _ => 0,
+            };
+            added.landmarks.iter_mut().for_each(|landmark| landmark.id += shift);
+            last = Some(end + shift);
+        }
     }
 }
 

@@ -245,3 +245,30 @@ proptest! {
         }
     }
 }
+
+/// New landmarks of the primary kind take ids that those of added kinds had.
+#[test]
+fn landmarks_of_added_kinds_get_ids_beyond_those_before() {
+    let ordered = extended();
+    let mut same = ordered.clone();
+    same.renumber_added();
+    assert_eq!(same, ordered);
+
+    let mut grown = ordered.clone();
+    let last = grown.landmarks.last().unwrap().clone();
+    grown.landmarks.extend((1..=5).map(|more| Landmark { id: last.id + more, ..last.clone() }));
+    assert!(matches!(grown.validate(), Err(ContentsError::AddedFeatures { .. })));
+    grown.renumber_added();
+    grown.validate().unwrap();
+    // There is room for more.
+    let others = grown.added_features.clone();
+    grown.landmarks.extend((6..=1000).map(|more| Landmark { id: last.id + more, ..last.clone() }));
+    grown.renumber_added();
+    grown.validate().unwrap();
+    assert_eq!(grown.added_features, others);
+    let anonymous = |map: &MapContents| -> Vec<Landmark> {
+        let landmarks = map.added_features.iter().flat_map(|added| added.landmarks.clone());
+        landmarks.map(|landmark| Landmark { id: 0, ..landmark }).collect()
+    };
+    assert_eq!(anonymous(&grown), anonymous(&ordered));
+}

@@ -3,25 +3,36 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use adjustment::{InverseDepthLandmark, LandmarkPrior, StoredObserver};
+use map::AddedFeatures;
 use map::contents::MapContents;
 use map::model::Landmark;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId};
 
 /// The landmarks of a map.
 pub(super) struct StoredLandmarks<'a> {
     map: &'a MapContents,
+    sigma_px: f64,
     by_id: BTreeMap<LandmarkId, &'a Landmark>,
     /// Position of each keyframe in the map.
     keyframes: BTreeMap<KeyframeId, usize>,
 }
 
 impl<'a> StoredLandmarks<'a> {
-    /// Of a map.
+    /// Those of the primary kind of a map.
     pub(super) fn of_map(map: &'a MapContents) -> StoredLandmarks<'a> {
-        let by_id = map.landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
+        StoredLandmarks::new(map, &map.landmarks, map.info.sigma_px)
+    }
+
+    /// Those of another kind, in the keyframes of a map.
+    pub(super) fn of_added(map: &'a MapContents, added: &'a AddedFeatures) -> StoredLandmarks<'a> {
+        StoredLandmarks::new(map, &added.landmarks, added.kind.sigma_px)
+    }
+
+    fn new(map: &'a MapContents, landmarks: &'a [Landmark], sigma_px: f64) -> StoredLandmarks<'a> {
+        let by_id = landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
         let keyframes = map.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
-        StoredLandmarks { map, by_id, keyframes }
+        StoredLandmarks { map, sigma_px, by_id, keyframes }
     }
 
     /// Positions in the map of the keyframes that observe some landmarks.
@@ -50,6 +61,12 @@ impl<'a> StoredLandmarks<'a> {
         }
         let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
         observers.swap(0, anchor);
-        LandmarkPrior::landmark(id, &landmark.position_in_anchor, &observers, self.map.info.sigma_px)
+        LandmarkPrior::landmark(id, &landmark.position_in_anchor, &observers, self.sigma_px)
+    }
+
+    /// Where its pixels show a landmark from the poses of the map, in the camera of its anchor (m).
+    pub(super) fn placed(&self, id: LandmarkId) -> Option<Vector3<f64>> {
+        let landmark = self.with_prior(id, 0)?;
+        Some(landmark.ray.push(1.0) / landmark.inverse_depth)
     }
 }

@@ -1,9 +1,14 @@
 //! Two maps of one place made one: as accurate and as uncertain as it states.
 
+use std::collections::BTreeMap;
+
 use crate::common::map_errors::with_common_errors;
 use crate::common::sessions::{build, nees, sessions};
 use map::contents::MapContents;
+use map::model::{Keyframe, Landmark};
 use mapping::{MergeError, MergeReport, merge_maps};
+use nalgebra::Vector2;
+use testing::add_second_kind;
 
 fn merge(first: &MapContents, second: &MapContents) -> Result<(MapContents, MergeReport), MergeError> {
     merge_maps(first, second, &mut |_, _, _| {})
@@ -65,7 +70,7 @@ fn errors_of_twenty_merged_maps_are_as_stated() {
 #[test]
 fn a_map_whose_ids_begin_with_zero_gets_others() {
     let (mut parts, _) = sessions(3, 2, 1.2);
-    let [first, mut second] = [0, 1].map(|at| build(&mut parts[at]));
+    let [mut first, mut second] = [0, 1].map(|at| build(&mut parts[at]));
     assert_eq!((second.keyframes[0].id, second.info.sessions[0].keyframe_ids[0]), (1, 1));
     second.aliases.clear();
     second.info.sessions[0].keyframe_ids = second.info.sessions[0].keyframe_ids.map(|id| id - 1);
@@ -79,14 +84,51 @@ fn a_map_whose_ids_begin_with_zero_gets_others() {
         (landmark.id, landmark.anchor) = (landmark.id - smallest, landmark.anchor - 1);
         landmark.observations.iter_mut().for_each(|observation| observation.keyframe -= 1);
     }
+    add_second_kind(&mut first, "of-both-1");
+    add_second_kind(&mut second, "of-one-1");
+    add_second_kind(&mut second, "of-both-1");
     second.validate().unwrap();
     let (merged, report) = merge(&first, &second).unwrap();
+    check_added_kinds(&merged, &first, &second);
     assert_eq!(merged.keyframes.len(), first.keyframes.len() + second.keyframes.len());
     assert_eq!(
         merged.landmarks.len() + report.common_landmarks,
         first.landmarks.len() + second.landmarks.len()
     );
     assert_eq!((merged.info.sessions.len(), merged.audit_sessions()), (2, Vec::new()));
+}
+
+/// Features of added kinds are copies of the map's own: they are where these are.
+fn check_added_kinds(merged: &MapContents, first: &MapContents, second: &MapContents) {
+    let [of_both, of_one] = &merged.added_features[..] else {
+        panic!("{} kinds", merged.added_features.len())
+    };
+    assert_eq!((&*of_both.kind.extractor, &*of_one.kind.extractor), ("of-both-1", "of-one-1"));
+    let count = |map: &MapContents, at: usize| map.added_features[at].landmarks.len();
+    assert_eq!(of_both.landmarks.len(), count(first, 0) + count(second, 1));
+    assert_eq!(of_one.landmarks.len(), count(second, 0));
+    let copies = merged.added_features.iter().flat_map(|added| &added.landmarks);
+    let [own_px, of_copies_px] = [error_px(merged, merged.landmarks.iter()), error_px(merged, copies)];
+    assert!(of_copies_px < 1.05 * own_px && own_px < 2.0, "{own_px} {of_copies_px}");
+}
+
+/// How far landmarks are from their pixels, root mean square per axis.
+fn error_px<'a>(map: &MapContents, landmarks: impl Iterator<Item = &'a Landmark>) -> f64 {
+    let keyframes: BTreeMap<u64, &Keyframe> =
+        map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
+    let mut squares: Vec<f64> = Vec::new();
+    for landmark in landmarks {
+        let position =
+            keyframes[&landmark.anchor].global_from_keyframe.pose.transform(&landmark.position_in_anchor);
+        for seen in &landmark.observations {
+            let Keyframe { camera, global_from_keyframe, .. } = keyframes[&seen.keyframe];
+            let Ok(pixel) = camera.project(&global_from_keyframe.pose.inverse_transform(&position)) else {
+                continue;
+            };
+            squares.push((pixel - Vector2::from(seen.pixel.map(f64::from))).norm_squared());
+        }
+    }
+    (squares.iter().sum::<f64>() / (2 * squares.len()) as f64).sqrt()
 }
 
 #[test]

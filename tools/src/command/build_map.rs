@@ -12,7 +12,7 @@ use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 use vision::{FeatureExtractor, GrayImage};
 
-use super::build_report::{extractors_left_out, print_extension, print_kept, print_left_out, print_report};
+use super::build_report::{print_extension, print_kept, print_partial_kinds, print_report};
 use super::import_map::parse_direction;
 use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
@@ -199,7 +199,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         if let Some(kept) = &report.kept {
             print_kept(kept);
         }
-        print_left_out(&extractors_left_out(stored.as_ref()));
+        print_partial_kinds(&contents);
         println!("  of it                     {times}");
     }
     Ok(())

@@ -1,7 +1,10 @@
 //! What `build-map` prints.
 
+use std::collections::BTreeSet;
+
 use map::MapContents;
 use mapping::{BuildReport, ExtensionReport, KeptImages, Spread};
+use protocol::KeyframeId;
 
 /// Real sensors have two to four times the noise that their calibration states, from a sensor at rest.
 const MAX_PLAUSIBLE_NOISE_SCALE: f64 = 6.0;
@@ -133,22 +136,18 @@ pub(super) fn print_kept(kept: &KeptImages) {
     }
 }
 
-/// The features that maps have and their next version has not, because the poses that they were computed with have moved.
-pub(super) fn extractors_left_out<'a>(maps: impl IntoIterator<Item = &'a MapContents>) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for added in maps.into_iter().flat_map(|map| &map.added_features) {
-        if !names.contains(&added.kind.extractor) {
-            names.push(added.kind.extractor.clone());
+/// Says which added kinds of features a part of the keyframes has only.
+pub(super) fn print_partial_kinds(contents: &MapContents) {
+    let all = contents.keyframes.len();
+    for added in &contents.added_features {
+        let observations = added.landmarks.iter().flat_map(|landmark| &landmark.observations);
+        let with: BTreeSet<KeyframeId> = observations.map(|seen| seen.keyframe).collect();
+        if with.len() < all {
+            let name = &added.kind.extractor;
+            println!(
+                "{name:<27} in {} of {all} keyframes: `driftless add-features --force` computes them where images are kept",
+                with.len()
+            );
         }
-    }
-    names
-}
-
-/// Says which features were left out.
-pub(super) fn print_left_out(extractors: &[String]) {
-    for name in extractors {
-        println!(
-            "left out                    features of {name}: they were computed with the former poses; `driftless add-features` computes them again"
-        );
     }
 }

@@ -11,7 +11,7 @@ use mapping::Stage;
 #[cfg(feature = "releases")]
 use releases::Outcome;
 
-use super::build_report::{extractors_left_out, print_left_out};
+use super::build_report::print_partial_kinds;
 use crate::maintenance_job::{JobReport, RefusedSession, TakenSession, Watch, maintain};
 use crate::refused_sessions::RefusedSessions;
 use crate::stage_bar::StageBar;
@@ -156,7 +156,6 @@ pub fn run(args: &Args) -> Result<()> {
     let target = MapTarget::new(&args.map, true)?;
     let stored = load_map(&args.map)?.contents;
     let mut lines = Lines { is_quiet: args.json, work: None };
-    let left_out = extractors_left_out([&stored]);
     let mut refused = RefusedSessions::read(&args.map, &settings);
     let inbox = args.inbox.as_deref();
     let (contents, mut report) =
@@ -179,7 +178,7 @@ pub fn run(args: &Args) -> Result<()> {
     } else {
         print(args, &report);
         if !report.taken.is_empty() {
-            print_left_out(&left_out);
+            print_partial_kinds(&contents);
         }
     }
     #[cfg(feature = "releases")]

@@ -7,7 +7,7 @@ use map::store::{MapTarget, load_map};
 use mapping::{MergeReport, merge_maps};
 use serde_json::json;
 
-use super::build_report::{extractors_left_out, print_left_out};
+use super::build_report::print_partial_kinds;
 use crate::stage_bar::StageBar;
 
 /// Arguments.
@@ -70,7 +70,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
         print(&report);
-        print_left_out(&extractors_left_out([&first, &second]));
+        print_partial_kinds(&contents);
     }
     Ok(())
 }

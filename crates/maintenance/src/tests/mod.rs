@@ -8,10 +8,10 @@ use std::collections::BTreeSet;
 use map::MapContents;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, add_second_kind};
 
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
-use crate::gone::{FALSE_SIGHTING, remove_gone, update_existence};
+use crate::gone::{FALSE_SIGHTING, remove_gone, remove_gone_of_added_kinds, update_existence};
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
 use crate::sightings::Sighting;
@@ -54,6 +54,32 @@ fn log_odds_are_those_of_a_bayes_filter_over_all_paths() {
         let expected = brute_force(first, &steps);
         assert!((probability(filtered) - expected).abs() < 1e-9, "{filtered} {expected}");
     }
+}
+
+/// Copies of what is gone go with it, those of what is left stay.
+#[test]
+fn landmarks_of_added_kinds_go_with_those_that_are_nearest() {
+    let mut map = Place::new(&PlaceOptions { keyframes: 8, landmarks: 200, ..PlaceOptions::default() }).map;
+    add_second_kind(&mut map, "other-1");
+    // Copies are of every second landmark.
+    let is_gone = |at: usize| at.is_multiple_of(6);
+    let mut gone_m: Vec<[f64; 3]> = Vec::new();
+    for (at, (_, position)) in map.landmarks_in_global().enumerate() {
+        if is_gone(at) {
+            gone_m.push(position.into());
+        }
+    }
+    let mut at = 0;
+    map.landmarks.retain(|_| {
+        at += 1;
+        !is_gone(at - 1)
+    });
+    let copies: Vec<u64> = map.added_features[0].landmarks.iter().map(|copy| copy.id).collect();
+    let expected: Vec<u64> =
+        copies.iter().enumerate().filter(|(at, _)| !is_gone(2 * at)).map(|(_, id)| *id).collect();
+    remove_gone_of_added_kinds(&mut map, &gone_m);
+    let left: Vec<u64> = map.added_features[0].landmarks.iter().map(|copy| copy.id).collect();
+    assert_eq!(left, expected);
 }
 
 #[test]

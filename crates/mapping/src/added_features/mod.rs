@@ -10,10 +10,13 @@
 //! Poses and covariances stay as they are: the map's own features have told them, and those of the new kind are not used a second time
 //! for the same. Their pixels are as independent of the poses' errors as a robot's are. A filter that uses them linearizes at the
 //! landmarks and weights with the covariance of the poses, as with the map's own.
+//!
+//! Where a map is extended or merged, its poses move, and the landmarks of added kinds are placed anew (`moved`).
 
 mod covisibility;
 mod error;
 mod extraction;
+mod moved;
 mod views;
 
 use std::collections::BTreeSet;
@@ -34,6 +37,7 @@ use crate::refinement::median_sigma_px;
 use crate::report::BuildReport;
 use covisibility::covisible_pairs;
 pub use error::AddFeaturesError;
+pub(crate) use moved::place_added;
 use views::{ImageViews, image_views};
 
 /// What is added to a map.

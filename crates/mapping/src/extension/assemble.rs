@@ -11,6 +11,7 @@ use protocol::{KeyframeId, LandmarkId};
 
 use super::error::ExtendError;
 use super::report::ExtensionReport;
+use crate::added_features::place_added;
 use crate::assemble::{map_contents, map_observation, stated_keyframes};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::options::MapPoses;
@@ -18,8 +19,8 @@ use crate::session::{enter, last_keyframe};
 use crate::stored_landmarks::StoredLandmarks;
 use crate::without_references::Builder;
 
-/// The map of both: what was stored with its ids, moved, and what is new with ids beyond them. Features of added kinds were triangulated
-/// with the poses as they were, and not in the new keyframes: they are left out.
+/// The map of both: what was stored with its ids, moved, and what is new with ids beyond them. The new keyframes have no features of
+/// added kinds.
 pub(super) fn extended(
     stored: &MapContents,
     builder: &Builder<'_, '_>,
@@ -43,6 +44,7 @@ pub(super) fn extended(
         aliases: stored.aliases.clone(),
         existence: stored.existence.clone(),
         images: stored.images.clone(),
+        added_features: stored.added_features.clone(),
         ..MapContents::empty(stored.info.clone())
     };
     contents.ensure_sessions(&stored.info.name);
@@ -64,8 +66,11 @@ pub(super) fn extended(
     add_observations(&mut contents.landmarks, &again, builder, ids.last_keyframe);
     if builder.options.map_poses == MapPoses::Considered {
         place_again(&mut contents, &again);
+    } else {
+        place_added(&mut contents);
     }
     contents.landmarks.append(&mut recording.landmarks);
+    contents.renumber_added();
     (contents.cross_covariances, contents.common_errors) =
         joint.of_keyframes(|view| match builder.views.get(view) {
             Some(content) => {
@@ -125,8 +130,7 @@ fn place_again(contents: &mut MapContents, again: &[InverseDepthLandmark]) {
     let known = StoredLandmarks::of_map(contents);
     let placed = again.iter().filter_map(|landmark| {
         let id = landmark.prior.as_ref()?.id;
-        let landmark = known.with_prior(id, 0)?;
-        Some((id, landmark.ray.push(1.0) / landmark.inverse_depth))
+        Some((id, known.placed(id)?))
     });
     let placed: BTreeMap<LandmarkId, Vector3<f64>> = placed.collect();
     for landmark in &mut contents.landmarks {

@@ -5,19 +5,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use adjustment::LandmarkTie;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
-use map::KeptImage;
 use map::contents::MapContents;
-use map::model::{Keyframe, LandmarkExistence};
+use map::model::{Keyframe, Landmark, LandmarkExistence};
 use map::sessions::Session;
+use map::{AddedFeatures, KeptImage};
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use super::{MergeError, MergeReport};
+use crate::added_features::place_added;
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::session::last_keyframe;
 
-/// The map of both: the first one with its ids, moved, and the second one with ids beyond them. Features of added kinds were triangulated
-/// with the poses as they were: they are left out.
+/// The map of both: the first one with its ids, moved, and the second one with ids beyond them. A kind of features
+/// that only one of them has is added in the keyframes of that one.
 ///
 /// # Arguments
 /// * `poses`: of the second map's keyframes, then of the first one's.
@@ -56,6 +57,9 @@ pub(super) fn merged(
         let keyframe = image.keyframe + last_keyframe;
         KeptImage { keyframe, ..image.clone() }
     }));
+    contents.added_features = added_features(first, second, last_keyframe);
+    place_added(&mut contents);
+    contents.renumber_added();
     contents.sort();
     contents.count_sessions();
     contents.validate()?;
@@ -93,20 +97,48 @@ fn add_landmarks(
     let renamed = |of: &LandmarkExistence| LandmarkExistence { landmark: of.landmark + last_landmark, ..*of };
     contents.existence.extend(second.existence.iter().filter(is_new).map(renamed));
     for landmark in &second.landmarks {
-        let mut landmark = landmark.clone();
-        landmark.observations.iter_mut().for_each(|seen| seen.keyframe += last_keyframe);
+        let mut of_both = in_merged(landmark, last_keyframe, last_landmark);
         let Some(tie) = tie_of.get(&landmark.id) else {
-            landmark.id += last_landmark;
-            landmark.anchor += last_keyframe;
-            contents.landmarks.push(landmark);
+            contents.landmarks.push(of_both);
             continue;
         };
         let known = &mut contents.landmarks[index_of[&tie.ids()[0]]];
         if let Some(position) = tie.position_in_anchor(poses) {
             known.position_in_anchor = position;
         }
-        known.observations.append(&mut landmark.observations);
+        known.observations.append(&mut of_both.observations);
     }
+}
+
+/// The added kinds of both maps.
+fn added_features(
+    first: &MapContents,
+    second: &MapContents,
+    last_keyframe: KeyframeId,
+) -> Vec<AddedFeatures> {
+    let mut all = first.added_features.clone();
+    let ids = first.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks).map(|landmark| landmark.id);
+    let last_landmark = ids.max().unwrap_or_default();
+    for AddedFeatures { kind, landmarks } in &second.added_features {
+        let renamed = landmarks.iter().map(|landmark| in_merged(landmark, last_keyframe, last_landmark + 1));
+        match all.iter_mut().find(|of| of.kind.extractor == kind.extractor) {
+            Some(of_both) => {
+                of_both.kind.sigma_px = of_both.kind.sigma_px.max(kind.sigma_px);
+                of_both.landmarks.extend(renamed);
+            }
+            None => all.push(AddedFeatures { kind: kind.clone(), landmarks: renamed.collect() }),
+        }
+    }
+    all
+}
+
+/// A landmark of the second map with other ids.
+fn in_merged(landmark: &Landmark, last_keyframe: KeyframeId, last_landmark: LandmarkId) -> Landmark {
+    let mut landmark = landmark.clone();
+    landmark.id += last_landmark;
+    landmark.anchor += last_keyframe;
+    landmark.observations.iter_mut().for_each(|seen| seen.keyframe += last_keyframe);
+    landmark
 }
 
 /// Fills in the statistics of the merged map.

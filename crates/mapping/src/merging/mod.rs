@@ -20,6 +20,7 @@ use std::time::Instant;
 use adjustment::{Bundle, LandmarkTie, RelativePose};
 use geometry::pose::Pose;
 use geometry::rotation::exp;
+use map::FeatureKind;
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -169,13 +170,19 @@ fn check(first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
             return Err(MergeError::Vertical { which, gravity: gravity.map(Into::into) });
         }
     }
-    let (one, other) = (&first.info, &second.info);
-    let formats = [one, other].map(|info| (info.descriptor_kind, info.descriptor_width, &info.extractor));
-    if formats[0] != formats[1] {
-        let name = |info: &map::model::MapMetadata| {
-            format!("{} ({}, {} bytes)", info.extractor, info.descriptor_kind.label(), info.descriptor_width)
-        };
-        return Err(MergeError::Extractors { first: name(one), second: name(other) });
+    let kinds = |contents: &MapContents| contents.feature_kinds().collect::<Vec<_>>();
+    let (of_first, of_second) = (kinds(first), kinds(second));
+    for (at, kind) in of_second.iter().enumerate() {
+        let is_same = |known: &&FeatureKind| at == 0 || known.extractor == kind.extractor;
+        let known = of_first.iter().find(is_same);
+        if let Some(known) =
+            known.filter(|known| (known.format(), &known.extractor) != (kind.format(), &kind.extractor))
+        {
+            let name = |of: &FeatureKind| {
+                format!("{} ({}, {} bytes)", of.extractor, of.descriptor_kind.label(), of.descriptor_width)
+            };
+            return Err(MergeError::Extractors { first: name(known), second: name(kind) });
+        }
     }
     for session in &second.info.sessions {
         first.info.check_new_session(session)?;

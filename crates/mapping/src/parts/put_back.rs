@@ -55,8 +55,7 @@ fn put_back_landmarks(
     gone: &BTreeSet<LandmarkId>,
 ) {
     let last = |contents: &MapContents| {
-        let ids = contents.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks);
-        ids.map(|landmark| landmark.id).max().unwrap_or_default()
+        contents.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default()
     };
     let (last_of_part, last_of_map) = (last(before), last(map));
     let renamed = |id: LandmarkId| if id > last_of_part { id - last_of_part + last_of_map } else { id };
@@ -83,6 +82,7 @@ fn put_back_landmarks(
         }
     }
     map.landmarks.append(&mut new);
+    map.renumber_added();
     let mut existence: BTreeMap<LandmarkId, LandmarkExistence> =
         map.existence.iter().map(|existence| (existence.landmark, *existence)).collect();
     for of in &after.existence {
