@@ -17,6 +17,7 @@ mod live_faults;
 mod live_latency;
 mod live_ros;
 mod localize;
+mod maintained_map;
 mod map_change;
 mod map_extension;
 mod map_gravity;
