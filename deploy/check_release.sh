@@ -31,11 +31,11 @@ check_files() {
         echo "checksums: valid, not signed (DRIFTLESS_SIGNING_KEY was not given to just release)"
     fi
     local file name size
-    for file in target/dist/*.deb target/dist/*.tar.gz; do
+    for file in target/dist/*.deb target/dist/*.tar.xz; do
         name="$(basename "$file")"
         size="$(stat --format %s "$file")"
         case "$name" in
-            *.tar.gz) name=archive ;;
+            *.tar.xz) name=archive ;;
             *) name="${name%%_*}" ;;
         esac
         printf '%s: %d.%d MB, at most %d\n' "$(basename "$file")" $((size / 1000000)) $((size / 100000 % 10)) $((LARGEST[$name] / 1000000))

@@ -41,7 +41,7 @@ for target in "${targets[@]}"; do
     cp -r "$manual" "$tree/$name/share"
     cp -r deploy/systemd "$tree/$name/share/systemd"
     cp README.md CHANGELOG.md LICENSE-MIT LICENSE-APACHE "$tree/$name/"
-    tar -C "$tree" --owner=0 --group=0 --sort=name -czf "$dist/$name.tar.gz" "$name"
+    tar -C "$tree" --owner=0 --group=0 --sort=name -cJf "$dist/$name.tar.xz" "$name"
     rm -rf "$tree"
     for package in "${PACKAGES[@]}"; do
         cargo deb --locked --no-build --no-strip --package "$package" --target "$target" --output "$dist"

@@ -1,4 +1,5 @@
-//! A night's job: the sessions that have come in, worked into a map one after the other, oldest first.
+//! A night's job: the sessions that have come in, worked into a map one after the other, oldest first, and those that lie beyond the map
+//! again when it has grown.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -19,6 +20,8 @@ use crate::session_files;
 
 /// Kind of a refused session that is no session file, or a damaged one.
 const UNREADABLE: &str = "unreadable";
+/// Kind of a refused session that shows too little of the map, see [`maintenance::Refusal::kind`].
+const OTHER_PLACE: &str = "other-place";
 /// A session may end so long from now: clocks differ.
 const MAX_AHEAD_DAYS: f64 = 1.0;
 
@@ -134,77 +137,115 @@ pub fn maintain(
     known: &mut RefusedSessions,
     watch: &mut dyn Watch,
 ) -> Result<(MapContents, JobReport)> {
-    let mut report = JobReport { before: Counts::of(&map), ..JobReport::default() };
-    let refuse = |report: &mut JobReport, watch: &mut dyn Watch, refused: RefusedSession| {
-        watch.refused(&refused);
-        report.refused.push(refused);
-    };
+    let report = JobReport { before: Counts::of(&map), ..JobReport::default() };
+    let mut job = Job { map: Compared { contents: map, compared: None }, report, settings, known, watch };
     let mut waiting = Vec::new();
     let named = session_files::find(paths)?.into_iter().map(|file| (file, false));
     let inbox = inbox.map(|inbox| session_files::find(&[inbox.to_owned()])).transpose()?;
     for (file, is_of_inbox) in named.chain(inbox.into_iter().flatten().map(|file| (file, true))) {
+        let map = &job.map.contents;
         match Waiting::open(&file) {
             Ok(session) if map.info.sessions.iter().any(|known| known.id == session.id) => {
-                report.known.push(PassedSession { file, id: session.id });
+                job.report.known.push(PassedSession { file, id: session.id });
             }
-            Ok(session) if is_of_inbox && session.is_of_other(&map) => {
-                report.other_maps.push(PassedSession { file, id: session.id });
+            Ok(session) if is_of_inbox && session.is_of_other(map) => {
+                job.report.other_maps.push(PassedSession { file, id: session.id });
             }
             Ok(session) => waiting.push(session),
             Err(error) => {
                 let (kind, reason) = (UNREADABLE.to_owned(), format!("{error:#}"));
-                let refused = RefusedSession { file, robot: None, kind, reason, before: false };
-                refuse(&mut report, watch, refused);
+                job.refuse(RefusedSession { file, robot: None, kind, reason, before: false });
             }
         }
     }
     waiting.sort_by_key(|session| (session.begin_ns, session.id));
     let ids: BTreeSet<SessionId> = waiting.iter().map(|session| session.id).collect();
-    known.retain(|session| ids.contains(&session));
-    let mut map = Compared { contents: map, compared: None };
-    let count = waiting.len();
-    for (at, session) in waiting.into_iter().enumerate() {
+    job.known.retain(|session| ids.contains(&session));
+    job.take_all(waiting);
+    let Job { map: Compared { contents: map, .. }, mut report, .. } = job;
+    report.after = Counts::of(&map);
+    Ok((map, report))
+}
+
+/// The work on all sessions.
+struct Job<'a> {
+    map: Compared,
+    report: JobReport,
+    settings: &'a Settings,
+    known: &'a mut RefusedSessions,
+    watch: &'a mut dyn Watch,
+}
+
+impl Job<'_> {
+    fn refuse(&mut self, refused: RefusedSession) {
+        self.watch.refused(&refused);
+        self.report.refused.push(refused);
+    }
+
+    /// Works sessions in, in this order, and those that were of another place again where the map has grown since, maybe to that place.
+    fn take_all(&mut self, mut waiting: Vec<Waiting>) {
+        while !waiting.is_empty() {
+            let count = waiting.len();
+            let mut elsewhere: Vec<(usize, Waiting, RefusedSession)> = Vec::new();
+            for (at, session) in waiting.into_iter().enumerate() {
+                match self.take(&session, [at + 1, count]) {
+                    Ok(taken) => {
+                        self.watch.taken(&taken);
+                        self.report.taken.push(taken);
+                    }
+                    Err(refused) if refused.kind == OTHER_PLACE => {
+                        elsewhere.push((self.report.taken.len(), session, refused));
+                    }
+                    Err(refused) => self.refuse(refused),
+                }
+            }
+            waiting = Vec::new();
+            for (taken_before, session, refused) in elsewhere {
+                if self.report.taken.len() > taken_before {
+                    waiting.push(session);
+                } else {
+                    self.refuse(refused);
+                }
+            }
+        }
+    }
+
+    /// Works one session in.
+    ///
+    /// # Arguments
+    /// * `number`: of the session, and of how many.
+    fn take(&mut self, session: &Waiting, number: [usize; 2]) -> Result<TakenSession, RefusedSession> {
+        let Waiting { file, id, robot, .. } = session;
         let refused = |kind: &str, reason, before| RefusedSession {
-            file: session.file.clone(),
-            robot: Some(session.robot.clone()),
+            file: file.clone(),
+            robot: Some(robot.clone()),
             kind: kind.to_owned(),
             reason,
             before,
         };
-        if known.has(session.id)
-            && let Some(verdict) = known.verdict(session.id, map.compared())
+        if self.known.has(*id)
+            && let Some(verdict) = self.known.verdict(*id, self.map.compared())
         {
-            let refused = refused(&verdict.kind, verdict.reason.clone(), true);
-            refuse(&mut report, watch, refused);
-            continue;
+            return Err(refused(&verdict.kind, verdict.reason.clone(), true));
         }
-        watch.begin(&session.file, at + 1, count);
-        let mut sequence = match Sequence::open(&session.file) {
-            Ok(sequence) => sequence,
-            Err(error) => {
-                refuse(&mut report, watch, refused(UNREADABLE, error.to_string(), false));
-                continue;
-            }
-        };
-        let mut show = |stage, done, all| watch.progress(stage, done, all);
-        match take_session(&mut map.contents, &mut sequence, &session.build, settings, &mut show) {
-            Ok(of_session) => {
-                map.compared = None;
-                let Waiting { file, id, robot, .. } = session;
-                let taken = TakenSession { file, id, robot, report: of_session };
-                watch.taken(&taken);
-                report.taken.push(taken);
+        self.watch.begin(file, number[0], number[1]);
+        let mut sequence =
+            Sequence::open(file).map_err(|error| refused(UNREADABLE, error.to_string(), false))?;
+        let mut show = |stage, done, all| self.watch.progress(stage, done, all);
+        let taken =
+            take_session(&mut self.map.contents, &mut sequence, &session.build, self.settings, &mut show);
+        match taken {
+            Ok(report) => {
+                self.map.compared = None;
+                Ok(TakenSession { file: file.clone(), id: *id, robot: robot.clone(), report })
             }
             Err(refusal) => {
-                let reason = refusal.to_string();
-                known.remember(session.id, Verdict::new(refusal.kind(), reason.clone(), map.compared()));
-                refuse(&mut report, watch, refused(refusal.kind(), reason, false));
+                let (kind, reason) = (refusal.kind(), refusal.to_string());
+                self.known.remember(*id, Verdict::new(kind, reason.clone(), self.map.compared()));
+                Err(refused(kind, reason, false))
             }
         }
     }
-    let map = map.contents;
-    report.after = Counts::of(&map);
-    Ok((map, report))
 }
 
 /// A map, with what tells it from others, computed when it is first asked for.
