@@ -24,7 +24,7 @@ pub struct VerifiedPlace {
 }
 
 impl VerifiedPlace {
-    fn new(map: &LoadedMap, found: VerifiedKeyframe) -> VerifiedPlace {
+    fn new(map: &LoadedMap, found: &VerifiedKeyframe) -> VerifiedPlace {
         let observed = map.observations.of(found.keyframe);
         let landmark = |at: usize| map.landmarks.ids[observed.landmark(at)];
         VerifiedPlace {
@@ -61,7 +61,7 @@ impl LoadedMap {
         let is_eligible = |at: usize| eligible(self.poses.keyframes[at].id);
         let verified = map.verified_keyframes(&image, is_eligible, options)?;
         let mut places: Vec<VerifiedPlace> =
-            verified.into_iter().map(|found| VerifiedPlace::new(map, found)).collect();
+            verified.iter().map(|found| VerifiedPlace::new(map, found)).collect();
         places.sort_by_key(|place| std::cmp::Reverse(place.inliers.len()));
         Ok(places)
     }
@@ -91,7 +91,7 @@ impl LoadedMap {
             && hypotheses.first().is_some_and(|place| place.log_odds() >= options.min_fix_log_odds);
         let is_told_apart = |at: usize| is_certain && groups[0].contains(&at);
         let weighed = |(at, found)| (VerifiedPlace::new(map, found), is_told_apart(at));
-        Ok(verified.into_iter().enumerate().map(weighed).collect())
+        Ok(verified.iter().enumerate().map(weighed).collect())
     }
 
     /// Those of the keyframes with the most votes that show what an image shows, each verified for itself, most votes first.
