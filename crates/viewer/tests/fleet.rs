@@ -168,7 +168,7 @@ async fn lost_silent_and_dead_robots_of_200_are_told_within_three_seconds() {
 async fn tell_fleet(program: &Path) -> [Duration; 2] {
     let shown = Shown::start().await;
     let address = shown.address();
-    let mut browser = Browser::start(&program, 390, 844).await;
+    let mut browser = Browser::start(program, 390, 844).await;
     browser.prefer("dark").await;
     browser.open(&format!("http://{address}/")).await;
     browser.wait_for("window.driftless?.isConnected").await;
