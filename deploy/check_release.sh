@@ -63,7 +63,9 @@ check_packages() { # ARCHITECTURE
         for program in driftless map_server onboard; do $program --version; done
         test -s /usr/share/man/man1/driftless-build-map.1.gz
         test -s /usr/lib/systemd/system/driftless-map-server.service
+        test -s /usr/lib/systemd/system/driftless-maintain.timer
         test -s /etc/driftless/map_server.conf
+        test -s /etc/driftless/maintain.conf
         driftless simulate --out place > /dev/null
         driftless build-map place/map --map place.db --gravity 0,0,-1 > /dev/null
         driftless run place/live --map place.db --out out

@@ -96,7 +96,7 @@ pub struct Arguments {
     #[arg(long, value_name = "SIZE", requires = "cells")]
     pub memory: Option<ByteSize>,
 
-    /// Take sessions that robots hand in, into this folder: for `driftless build-map --extend`
+    /// Take sessions that robots hand in, into this folder: for `driftless maintain`
     ///
     /// One server of a map takes them.
     #[arg(long, value_name = "DIR")]
