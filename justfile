@@ -69,8 +69,17 @@ test:
     set -euo pipefail
     threads="${RUST_TEST_THREADS:-$((2 * {{ num_cpus() }}))}"
     if cargo nextest --version > /dev/null 2>&1; then
-        cargo nextest run --workspace --locked --no-fail-fast --test-threads "$((5 * threads / 2))"
-        cargo test --workspace --locked --doc --no-fail-fast
+        cargo nextest run --workspace --locked --no-run
+        # Those in the documentation meanwhile: compilers take what the tests leave.
+        said="$(mktemp)"
+        cargo test --workspace --locked --doc --no-fail-fast > "$said" 2>&1 &
+        documentation=$!
+        failed=0
+        cargo nextest run --workspace --locked --no-fail-fast --test-threads "$((5 * threads / 2))" || failed=1
+        wait "$documentation" || failed=1
+        cat "$said"
+        rm "$said"
+        exit "$failed"
     else
         RUST_TEST_THREADS="$threads" cargo test --workspace --locked
     fi

@@ -21,7 +21,7 @@ const NEAR_AN_END: u64 = 32;
 
 #[test]
 fn what_was_written_as_a_whole_counts_wherever_the_robot_is_stopped() {
-    counts_what_is_whole(7);
+    counts_what_is_whole(29);
 }
 
 #[test]
