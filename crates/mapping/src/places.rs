@@ -159,17 +159,16 @@ pub(super) fn align(places: &[StoredPlace], poses: &[Pose]) -> Option<Alignment>
 
 /// Number of views with a place.
 pub(super) fn view_count(places: &[StoredPlace]) -> usize {
-    places.iter().map(|place| place.relative.views[1]).collect::<BTreeSet<_>>().len()
+    distinct_views(places.iter())
 }
 
 /// Number of views with a place that is told apart.
 pub(super) fn told_apart_count(places: &[StoredPlace]) -> usize {
-    places
-        .iter()
-        .filter(|place| place.is_told_apart)
-        .map(|place| place.relative.views[1])
-        .collect::<BTreeSet<_>>()
-        .len()
+    distinct_views(places.iter().filter(|place| place.is_told_apart))
+}
+
+fn distinct_views<'a>(places: impl Iterator<Item = &'a StoredPlace>) -> usize {
+    places.map(|place| place.relative.views[1]).collect::<BTreeSet<_>>().len()
 }
 
 /// The pose of the view in G by a place.
