@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
 use hand_in::Session;
-use maintenance::{SessionReport, Settings, take_session};
+use maintenance::{Refusal, SessionReport, Settings, take_session};
 use map::MapContents;
 use map::sessions::SessionId;
 use mapping::{BuildOptions, Stage};
@@ -20,8 +20,6 @@ use crate::session_files;
 
 /// Kind of a refused session that is no session file, or a damaged one.
 const UNREADABLE: &str = "unreadable";
-/// Kind of a refused session that shows too little of the map, see [`maintenance::Refusal::kind`].
-const OTHER_PLACE: &str = "other-place";
 /// A session may end so long from now: clocks differ.
 const MAX_AHEAD_DAYS: f64 = 1.0;
 
@@ -193,7 +191,7 @@ impl Job<'_> {
                         self.watch.taken(&taken);
                         self.report.taken.push(taken);
                     }
-                    Err(refused) if refused.kind == OTHER_PLACE => {
+                    Err(refused) if refused.kind == Refusal::OTHER_PLACE => {
                         elsewhere.push((self.report.taken.len(), session, refused));
                     }
                     Err(refused) => self.refuse(refused),

@@ -71,11 +71,14 @@ pub enum Refusal {
 }
 
 impl Refusal {
+    /// [`Refusal::kind`] of a session that shows too little of the map, which may grow to its place.
+    pub const OTHER_PLACE: &'static str = "other-place";
+
     /// The reason in one word, for programs: `twice`, `other-place`, `contradiction`, `unusable`.
     pub fn kind(&self) -> &'static str {
         match self {
             Refusal::InMap(_) | Refusal::ImageInMap(_) => "twice",
-            Refusal::OtherPlace(_) => "other-place",
+            Refusal::OtherPlace(_) => Self::OTHER_PLACE,
             Refusal::Places { .. } | Refusal::Pixels { .. } | Refusal::Moved { .. } => "contradiction",
             Refusal::Odometry(_) | Refusal::Extension(_) | Refusal::NothingLeft | Refusal::Contents(_) => {
                 "unusable"
