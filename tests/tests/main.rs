@@ -29,6 +29,7 @@ mod recorded;
 mod released_map;
 mod secure;
 mod secure_ends;
+mod secure_links;
 mod secure_log;
 mod secure_shares;
 mod silent_server;
