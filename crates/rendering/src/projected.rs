@@ -5,6 +5,7 @@
 //! whether any ray of a part of the image does is a question about the corners of that part.
 
 use super::body::Rectangle;
+use super::rays::RayRange;
 use super::texture::{SmoothedTexture, Texture};
 use geometry::Pose;
 use nalgebra::Vector3;
@@ -20,13 +21,6 @@ pub(crate) struct Linear {
     by_x: f32,
     by_y: f32,
     constant: f32,
-}
-
-/// Rays of a part of the image: middle and half sides of a rectangle in normalized coordinates.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RayRange {
-    pub(crate) middle: [f32; 2],
-    pub(crate) half: [f32; 2],
 }
 
 impl Linear {
@@ -46,7 +40,15 @@ impl Linear {
     }
 
     fn max_over(self, range: &RayRange) -> f32 {
-        self.at(range.middle) + self.by_x.abs() * range.half[0] + self.by_y.abs() * range.half[1]
+        self.at(range.middle) + self.spread_over(range)
+    }
+
+    fn min_over(self, range: &RayRange) -> f32 {
+        self.at(range.middle) - self.spread_over(range)
+    }
+
+    fn spread_over(self, range: &RayRange) -> f32 {
+        self.by_x.abs() * range.half[0] + self.by_y.abs() * range.half[1]
     }
 }
 
@@ -93,6 +95,19 @@ impl<'a> Projected<'a> {
     pub(crate) fn may_be_in(&self, range: &RayRange) -> bool {
         let nearest = self.inverse_depth.max_over(range);
         nearest > 0.0 && self.inside.iter().all(|linear| linear.max_over(range) >= -OVERLAP_M * nearest)
+    }
+
+    /// Whether every pixel of a part of the image has a ray that meets the rectangle.
+    pub(crate) fn fills(&self, range: &RayRange) -> bool {
+        range.is_whole
+            && self.inverse_depth.min_over(range) > 0.0
+            && self.inside.iter().all(|linear| linear.min_over(range) >= 0.0)
+    }
+
+    /// The inverse depth at which a ray meets the plane of the rectangle, 1/m.
+    #[inline]
+    pub(crate) fn inverse_depth(&self, ray: [f32; 2]) -> f32 {
+        self.inverse_depth.at(ray)
     }
 
     /// The inverse depth (1/m) at which a ray meets the rectangle, if that is nearer than `than` (1/m, not negative).

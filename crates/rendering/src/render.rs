@@ -1,13 +1,11 @@
 //! What a camera sees at one instant.
 
 use super::body::PlacedBody;
-use super::projected::{Projected, RayRange};
-use super::rays::CameraRays;
+use super::projected::Projected;
+use super::rays::{CameraRays, RayRange, Tile};
 use super::sensor::Radiance;
 use geometry::Pose;
 
-/// Side of the squares of pixels for which the rectangles in sight are selected.
-const TILE: usize = 16;
 /// Where a pixel sees two rectangles, rays at these parts of a pixel from its middle are averaged.
 const SUB_PIXELS: [[f32; 2]; 4] = [[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]];
 /// Index of no rectangle.
@@ -32,12 +30,9 @@ pub fn render(bodies: &[PlacedBody<'_>], rays: &CameraRays, world_from_camera: &
     let mut image = Radiance::black(rays.width(), rays.height());
     let mut seen = vec![NOTHING; rays.width() * rays.height()];
     let mut view = View { rays, facing: &facing, near: Vec::new() };
-    for top in (0..rays.height()).step_by(TILE) {
-        for left in (0..rays.width()).step_by(TILE) {
-            view.fill_tile(left, top, &mut image, &mut seen);
-        }
-    }
-    view.smooth_edges(&mut image, &seen);
+    let fill = |tile| view.fill_tile(tile, &mut image, &mut seen);
+    let filled: Vec<Option<u16>> = rays.tiles().iter().map(fill).collect();
+    view.smooth_edges(&mut image, &seen, &filled);
     image
 }
 
@@ -49,57 +44,55 @@ struct View<'a> {
 }
 
 impl View<'_> {
-    fn fill_tile(&mut self, left: usize, top: usize, image: &mut Radiance, seen: &mut [u16]) {
-        let (width, height) = (self.rays.width(), self.rays.height());
-        let (right, bottom) = ((left + TILE).min(width), (top + TILE).min(height));
-        self.select(left, top, right, bottom);
+    /// Fills a part of the image.
+    ///
+    /// # Returns
+    /// The rectangle that is all that is seen there.
+    fn fill_tile(&mut self, tile: &Tile, image: &mut Radiance, seen: &mut [u16]) -> Option<u16> {
+        let width = self.rays.width();
+        let ([left, right], [top, bottom]) = (tile.columns, tile.rows);
+        self.select(&tile.range);
+        // Then no pixel has to ask for the nearest.
+        let only = match self.near[..] {
+            [index] if self.facing[usize::from(index)].fills(&tile.range) => Some(index),
+            _ => None,
+        };
         let steps = self.rays.steps(left.midpoint(right), top.midpoint(bottom));
         for y in top..bottom {
+            let row = y * width + left..y * width + right;
+            let (values, seen) = (&mut image.values[row.clone()], &mut seen[row]);
+            let rays = self.rays.row(y, [left, right]);
+            if let Some(index) = only {
+                let wall = &self.facing[usize::from(index)];
+                let texture = wall.smoothed(rays[0], wall.inverse_depth(rays[0]), &steps);
+                seen.fill(index);
+                for (value, ray) in values.iter_mut().zip(rays) {
+                    *value = wall.grey(*ray, wall.inverse_depth(*ray), &texture);
+                }
+                continue;
+            }
             // How smooth a rectangle looks hardly changes along a row of the tile.
             let mut last = None;
-            for x in left..right {
-                let ray = self.rays.at(x, y);
-                let Some((index, inverse_depth)) = self.nearest(ray) else { continue };
+            for ((value, seen), ray) in values.iter_mut().zip(seen).zip(rays) {
+                let Some((index, inverse_depth)) = self.nearest(*ray) else { continue };
                 let seen_here = &self.facing[usize::from(index)];
                 let texture = match last {
                     Some((of, texture)) if of == index => texture,
-                    _ => seen_here.smoothed(ray, inverse_depth, &steps),
+                    _ => seen_here.smoothed(*ray, inverse_depth, &steps),
                 };
                 last = Some((index, texture));
-                seen[y * width + x] = index;
-                image.values[y * width + x] = seen_here.grey(ray, inverse_depth, &texture);
+                *seen = index;
+                *value = seen_here.grey(*ray, inverse_depth, &texture);
             }
         }
+        only
     }
 
     /// Selects what may be in a part of the image.
-    fn select(&mut self, left: usize, top: usize, right: usize, bottom: usize) {
-        let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-        for y in top..bottom {
-            for x in left..right {
-                let ray = self.rays.at(x, y);
-                // NaN changes neither.
-                for axis in 0..2 {
-                    if ray[axis] < low[axis] {
-                        low[axis] = ray[axis];
-                    }
-                    if ray[axis] > high[axis] {
-                        high[axis] = ray[axis];
-                    }
-                }
-            }
-        }
-        // A pixel more, for the rays beside the middle of a pixel.
-        let steps = self.rays.steps(left.midpoint(right), top.midpoint(bottom));
-        let margin = [0, 1].map(|axis| (steps[0][axis].abs() + steps[1][axis].abs()).max(1e-5));
-        let range = RayRange {
-            middle: [0, 1].map(|axis| 0.5 * (low[axis] + high[axis])),
-            half: [0, 1].map(|axis| 0.5 * (high[axis] - low[axis]) + margin[axis]),
-        };
+    fn select(&mut self, range: &RayRange) {
         self.near.clear();
         self.near.extend(
-            (0..self.facing.len() as u16)
-                .filter(|index| low[0] <= high[0] && self.facing[usize::from(*index)].may_be_in(&range)),
+            (0..self.facing.len() as u16).filter(|index| self.facing[usize::from(*index)].may_be_in(range)),
         );
     }
 
@@ -116,33 +109,55 @@ impl View<'_> {
     }
 
     /// Averages several rays where neighbouring pixels see different rectangles, so that edges have no steps.
-    fn smooth_edges(&mut self, image: &mut Radiance, seen: &[u16]) {
-        let (width, height) = (self.rays.width(), self.rays.height());
-        for y in 0..height {
-            for x in 0..width {
-                let at = y * width + x;
-                let differs = |other: usize| seen[other] != seen[at];
-                let is_edge = (x > 0 && differs(at - 1))
-                    || (x + 1 < width && differs(at + 1))
-                    || (y > 0 && differs(at - width))
-                    || (y + 1 < height && differs(at + width));
-                if !is_edge {
-                    continue;
+    ///
+    /// # Arguments
+    /// * `filled`: of each tile, the rectangle that is all that is seen there.
+    fn smooth_edges(&mut self, image: &mut Radiance, seen: &[u16], filled: &[Option<u16>]) {
+        let (width, height, tiles_a_row) = (self.rays.width(), self.rays.height(), self.rays.tiles_a_row());
+        for (at, tile) in self.rays.tiles().iter().enumerate() {
+            let is_inside = |x: usize, y: usize| {
+                filled[at].is_some()
+                    && (tile.columns[0] + 1..tile.columns[1] - 1).contains(&x)
+                    && (tile.rows[0] + 1..tile.rows[1] - 1).contains(&y)
+            };
+            let is_like = |other: Option<usize>| {
+                other.and_then(|other| filled.get(other)).is_none_or(|other| *other == filled[at])
+            };
+            let around =
+                [at.checked_sub(1), Some(at + 1), at.checked_sub(tiles_a_row), Some(at + tiles_a_row)];
+            if filled[at].is_some() && around.into_iter().all(is_like) {
+                continue;
+            }
+            for y in tile.rows[0]..tile.rows[1] {
+                for x in tile.columns[0]..tile.columns[1] {
+                    let pixel = y * width + x;
+                    let differs = |other: usize| seen[other] != seen[pixel];
+                    let is_edge = !is_inside(x, y)
+                        && ((x > 0 && differs(pixel - 1))
+                            || (x + 1 < width && differs(pixel + 1))
+                            || (y > 0 && differs(pixel - width))
+                            || (y + 1 < height && differs(pixel + width)));
+                    if is_edge {
+                        image.values[pixel] = self.smoothed_grey(x, y);
+                    }
                 }
-                self.select(x, y, x + 1, y + 1);
-                let ray = self.rays.at(x, y);
-                let steps = self.rays.steps(x, y);
-                let greys = SUB_PIXELS.map(|[across, down]| {
-                    let beside =
-                        [0, 1].map(|axis| ray[axis] + across * steps[0][axis] + down * steps[1][axis]);
-                    self.nearest(beside).map_or(0.0, |(index, inverse_depth)| {
-                        let seen_here = &self.facing[usize::from(index)];
-                        let texture = seen_here.smoothed(beside, inverse_depth, &steps);
-                        seen_here.grey(beside, inverse_depth, &texture)
-                    })
-                });
-                image.values[at] = greys.iter().sum::<f32>() / greys.len() as f32;
             }
         }
+    }
+
+    /// The mean of several rays of a pixel.
+    fn smoothed_grey(&mut self, x: usize, y: usize) -> f32 {
+        self.select(&self.rays.range([x, x + 1], [y, y + 1]));
+        let ray = self.rays.at(x, y);
+        let steps = self.rays.steps(x, y);
+        let greys = SUB_PIXELS.map(|[across, down]| {
+            let beside = [0, 1].map(|axis| ray[axis] + across * steps[0][axis] + down * steps[1][axis]);
+            self.nearest(beside).map_or(0.0, |(index, inverse_depth)| {
+                let seen_here = &self.facing[usize::from(index)];
+                let texture = seen_here.smoothed(beside, inverse_depth, &steps);
+                seen_here.grey(beside, inverse_depth, &texture)
+            })
+        });
+        greys.iter().sum::<f32>() / greys.len() as f32
     }
 }

@@ -72,8 +72,7 @@ impl Texture {
         let finer = level as usize;
         let coarser = (finer + 1).min(self.levels.len() - 1);
         SmoothedTexture {
-            levels: [&self.levels[finer], &self.levels[coarser]],
-            scales: [finer, coarser].map(|level| 1.0 / (1_u32 << level) as f32),
+            levels: [finer, coarser].map(|level| Lattice::new(&self.levels[level], level)),
             part: level - finer as f32,
         }
     }
@@ -82,20 +81,31 @@ impl Texture {
 /// A bitmap between two of its levels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SmoothedTexture<'a> {
-    levels: [&'a Level; 2],
-    scales: [f32; 2],
+    levels: [Lattice<'a>; 2],
     /// How much of the second level.
     part: f32,
+}
+
+/// The centres of a level's texels, with what many points need of it.
+#[derive(Clone, Copy, Debug)]
+struct Lattice<'a> {
+    texels: &'a [u8],
+    width: usize,
+    /// Texels of this level in one of level 0.
+    scale: f32,
+    /// The last column and row, as coordinates and of the cells between four centres.
+    last: [f32; 2],
+    last_cell: [i32; 2],
 }
 
 impl SmoothedTexture<'_> {
     #[inline]
     pub(crate) fn grey(&self, u: f32, v: f32) -> f32 {
-        let fine = self.levels[0].bilinear(u * self.scales[0], v * self.scales[0]);
+        let fine = self.levels[0].grey(u, v);
         if self.part < MIN_PART {
             return fine;
         }
-        let coarse = self.levels[1].bilinear(u * self.scales[1], v * self.scales[1]);
+        let coarse = self.levels[1].grey(u, v);
         fine + self.part * (coarse - fine)
     }
 }
@@ -121,15 +131,31 @@ impl Level {
         }
         Some(Self { width, height, texels })
     }
+}
+
+impl<'a> Lattice<'a> {
+    fn new(level: &'a Level, index: usize) -> Self {
+        let sides = [level.width, level.height];
+        Self {
+            texels: &level.texels,
+            width: level.width,
+            scale: 1.0 / (1_u32 << index) as f32,
+            last: sides.map(|side| (side - 1) as f32),
+            last_cell: sides.map(|side| (side - 2) as i32),
+        }
+    }
 
     /// Interpolated between the centres of four texels; beyond the border as on it.
+    ///
+    /// # Arguments
+    /// * `u`, `v`: in texels of level 0.
     #[inline]
-    fn bilinear(&self, u: f32, v: f32) -> f32 {
-        let x = (u - 0.5).clamp(0.0, (self.width - 1) as f32);
-        let y = (v - 0.5).clamp(0.0, (self.height - 1) as f32);
-        let (column, row) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
+    fn grey(&self, u: f32, v: f32) -> f32 {
+        let x = (u * self.scale - 0.5).max(0.0).min(self.last[0]);
+        let y = (v * self.scale - 0.5).max(0.0).min(self.last[1]);
+        let (column, row) = ((x as i32).min(self.last_cell[0]), (y as i32).min(self.last_cell[1]));
         let (s, t) = (x - column as f32, y - row as f32);
-        let begin = row * self.width + column;
+        let begin = row as usize * self.width + column as usize;
         let texels = &self.texels[begin..begin + self.width + 2];
         let [upper_left, upper_right] = [f32::from(texels[0]), f32::from(texels[1])];
         let [lower_left, lower_right] = [f32::from(texels[self.width]), f32::from(texels[self.width + 1])];
