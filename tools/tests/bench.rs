@@ -8,8 +8,8 @@ fn dataset() -> Scratch {
     let scratch = Scratch::new();
     let set = scratch.path("set");
     std::fs::create_dir_all(set.join("c_broken/mav0")).unwrap();
-    symlink(town().path("town/map"), set.join("a_first")).unwrap();
-    symlink(town().path("town/live"), set.join("b_second")).unwrap();
+    symlink(town().join("town/map"), set.join("a_first")).unwrap();
+    symlink(town().join("town/live"), set.join("b_second")).unwrap();
     scratch
 }
 

@@ -47,7 +47,7 @@ fn a_merge_beside_an_edit_loses_neither() {
     let merged = ids(&hall);
     let mut refused = [0, 0];
     for _ in 0..rounds(6) {
-        scratch.copy_map(&town().path("hall.db"), "hall.db");
+        scratch.copy_map(&town().join("hall.db"), "hall.db");
         let merging = scratch.start(merge);
         std::thread::sleep(whole.mul_f64(rng.random_range(0.0..1.1)));
         let editing = scratch.start(&format!("edit-map --map hall.db --remove {first}"));
@@ -81,7 +81,7 @@ fn a_publication_beside_a_merge_is_of_one_version_as_a_whole() {
     let mut met = [0, 0];
     for _ in 0..rounds(6) {
         let _ = std::fs::remove_dir_all(scratch.path("city"));
-        scratch.copy_map(&town().path("hall.db"), "hall.db");
+        scratch.copy_map(&town().join("hall.db"), "hall.db");
         let merging = scratch.start(merge);
         std::thread::sleep(whole.mul_f64(rng.random_range(0.0..1.1)));
         let publishing = scratch.start(publish);

@@ -27,7 +27,7 @@ fn terminate(mut running: Child, line: &str) {
 #[test]
 fn commands_that_take_long_end_at_a_signal_and_change_nothing() {
     let scratch = in_town();
-    let (hall, before) = (scratch.path("hall.db"), crate::scratch::ids(&town().path("hall.db")));
+    let (hall, before) = (scratch.path("hall.db"), crate::scratch::ids(&town().join("hall.db")));
     // Milliseconds after which the signal is sent: maps so small are merged in less than 100.
     for (line, after_ms) in [
         ("build-map town/live --map hall.db --force --sigma-pixel 1 --gravity 0,0,-1", 100),

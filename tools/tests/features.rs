@@ -9,7 +9,7 @@ fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_l
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let (room, both, plain) = (path("room"), path("both.db"), path("plain.db"));
-    json_of(&["simulate", "--images", "--duration", "5", "--out", text(&room)]);
+    json_of(&["simulate", "--images", "--duration", "6", "--out", text(&room)]);
     let recording = room.join("map");
     let few = ["--max-features", "400"];
     let map = ["build-map", text(&recording), "--map", text(&both), "--keep-images=85"];

@@ -96,7 +96,7 @@ fn maps_are_written_whole_or_not_at_all() {
     // The map that was there stays readable.
     let before = "cp -r hall.db small/hall.db";
     let check = format!("{program} map-info --map small/hall.db > /dev/null");
-    let first = *crate::scratch::ids(&town().path("hall.db")).first().unwrap();
+    let first = *crate::scratch::ids(&town().join("hall.db")).first().unwrap();
     try_all(&scratch, before, &format!("edit-map --map small/hall.db --remove {first}"), &check);
     try_all(&scratch, before, "merge-maps small/hall.db second.db --map small/hall.db --force", &check);
 }

@@ -71,14 +71,14 @@ fn a_killed_edit_or_import_leaves_the_old_map_or_the_new_one() {
 #[test]
 fn a_killed_merge_leaves_the_old_map_or_the_new_one() {
     let scratch = in_town();
-    let restore = || scratch.copy_map(&town().path("hall.db"), "hall.db");
+    let restore = || scratch.copy_map(&town().join("hall.db"), "hall.db");
     kill_a_change(&scratch, "merge-maps hall.db second.db --map hall.db --force", 4, restore);
 }
 
 #[test]
 fn a_killed_extension_leaves_the_old_map_or_the_new_one() {
     let scratch = in_town();
-    let restore = || scratch.copy_map(&town().path("hall.db"), "hall.db");
+    let restore = || scratch.copy_map(&town().join("hall.db"), "hall.db");
     kill_a_change(&scratch, "build-map town/live --map hall.db --extend", 5, restore);
 }
 
@@ -86,7 +86,7 @@ fn a_killed_extension_leaves_the_old_map_or_the_new_one() {
 fn a_killed_night_leaves_the_old_map_or_the_new_one_and_a_true_ledger() {
     let scratch = in_town();
     scratch.run("run town/live --map hall.db --out run --hand-in recorded");
-    let restore = || scratch.copy_map(&town().path("hall.db"), "hall.db");
+    let restore = || scratch.copy_map(&town().join("hall.db"), "hall.db");
     kill_a_change(&scratch, "maintain --map hall.db --inbox recorded", 7, restore);
     scratch.run("map-info --map hall.db --audit");
 }

@@ -1,7 +1,7 @@
 //! A candidate is refused for what is wrong with it, in words, and an honest one passes.
 
 use std::path::Path;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use clap::Parser as _;
 use geometry::Pose;
@@ -44,9 +44,8 @@ fn drive(scratch: &Scratch, recording: &Path, live: &Side) -> (Drive, DriveRun) 
     (drive, run)
 }
 
-fn town() -> &'static Town {
-    static SHARED: OnceLock<Town> = OnceLock::new();
-    SHARED.get_or_init(|| {
+impl Town {
+    fn new() -> Town {
         let scratch = Scratch::new();
         scratch.run("simulate --out town --duration 18 --dropout 0");
         scratch.run("build-map town/map --map town.db --sigma-pixel 1 --gravity 0,0,-1");
@@ -56,7 +55,7 @@ fn town() -> &'static Town {
         std::fs::remove_dir_all(scratch.path("unknown/mav0/state_groundtruth_estimate0")).unwrap();
         let drives = ["town/live", "unknown"].map(|name| drive(&scratch, &scratch.path(name), &live));
         Town { scratch, map, live, drives }
-    })
+    }
 }
 
 /// Reviews a candidate with both drives.
@@ -95,9 +94,7 @@ fn part(map: &MapContents, from: f64, to: f64) -> Vec<usize> {
     order[at(from)..at(to)].to_vec()
 }
 
-#[test]
-fn a_corner_that_is_0_3_m_off_is_refused() {
-    let town = town();
+fn a_corner_that_is_0_3_m_off_is_refused(town: &Town) {
     let mut moved = town.map.clone();
     for at in part(&town.map, 0.35, 0.6) {
         let pose = &mut moved.keyframes[at].global_from_keyframe.pose;
@@ -110,9 +107,7 @@ fn a_corner_that_is_0_3_m_off_is_refused() {
     assert!(review.refusals[0].reason.contains("0.30 m"), "{:?}", review.refusals);
 }
 
-#[test]
-fn half_of_a_place_that_is_missing_is_refused() {
-    let town = town();
+fn half_of_a_place_that_is_missing_is_refused(town: &Town) {
     let mut half = town.map.clone();
     let gone: Vec<u64> = part(&town.map, 0.4, 1.0).iter().map(|at| town.map.keyframes[*at].id).collect();
     let chosen = keyframes_where(&half, |keyframe| gone.contains(&keyframe.id));
@@ -125,9 +120,7 @@ fn half_of_a_place_that_is_missing_is_refused() {
     }
 }
 
-#[test]
-fn two_places_that_are_swapped_are_refused() {
-    let town = town();
+fn two_places_that_are_swapped_are_refused(town: &Town) {
     let mut swapped = town.map.clone();
     for (one, other) in part(&town.map, 0.2, 0.35).into_iter().zip(part(&town.map, 0.55, 0.7)) {
         let poses = [one, other].map(|at| town.map.keyframes[at].global_from_keyframe.pose);
@@ -142,9 +135,7 @@ fn two_places_that_are_swapped_are_refused() {
     }
 }
 
-#[test]
-fn an_honest_candidate_passes() {
-    let town = town();
+fn an_honest_candidate_passes(town: &Town) {
     // Every sixth keyframe is gone, and an adjustment moved the others within their covariance.
     let mut honest = town.map.clone();
     let chosen = keyframes_where(&honest, |keyframe| keyframe.id % 6 == 3);
@@ -165,9 +156,7 @@ fn an_honest_candidate_passes() {
     );
 }
 
-#[test]
-fn the_command_reviews_a_candidate_and_writes_a_report() {
-    let town = town();
+fn the_command_reviews_a_candidate_and_writes_a_report(town: &Town) {
     let scratch = &town.scratch;
     scratch.run("publish-map --map town.db --to releases");
     let mut half = town.map.clone();
@@ -190,4 +179,15 @@ fn the_command_reviews_a_candidate_and_writes_a_report() {
         assert!(page.contains(refusal["gate"].as_str().unwrap()), "{refusal}");
     }
     assert!(page.contains("should not be promoted") && page.contains("class=\"removed\""));
+}
+
+/// One test, since most of its time goes to the town and the drives.
+#[test]
+fn candidates_are_judged() {
+    let town = Town::new();
+    a_corner_that_is_0_3_m_off_is_refused(&town);
+    half_of_a_place_that_is_missing_is_refused(&town);
+    two_places_that_are_swapped_are_refused(&town);
+    an_honest_candidate_passes(&town);
+    the_command_reviews_a_candidate_and_writes_a_report(&town);
 }

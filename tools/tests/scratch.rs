@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use map::store::load_map;
@@ -74,25 +73,26 @@ pub fn ids(path: &Path) -> BTreeSet<u64> {
 }
 
 /// A town that was driven through twice: `town/live`, and a map of each drive, `hall.db` and `second.db`. Made once.
-pub fn town() -> &'static Scratch {
-    static SHARED: OnceLock<Scratch> = OnceLock::new();
-    SHARED.get_or_init(|| {
+pub fn town() -> PathBuf {
+    testing::made_once("town", &[Path::new(env!("CARGO_BIN_EXE_driftless"))], |folder| {
         let scratch = Scratch::new();
         scratch.run("simulate --out town --duration 12");
         for (drive, map) in [("map", "hall.db"), ("live", "second.db")] {
             scratch.run(&format!("build-map town/{drive} --map {map} --sigma-pixel 1 --gravity 0,0,-1"));
         }
-        scratch
+        for name in ["town", "hall.db", "second.db"] {
+            copy_folder(&scratch.path(name), &folder.join(name));
+        }
     })
 }
 
 /// Another folder with what the town has, as far as a command needs it.
 pub fn in_town() -> Scratch {
-    let scratch = Scratch::new();
+    let (scratch, town) = (Scratch::new(), town());
     for name in ["hall.db", "second.db"] {
-        scratch.copy_map(&town().path(name), name);
+        scratch.copy_map(&town.join(name), name);
     }
-    scratch.copy_map(&town().path("hall.db"), "whole.db");
-    std::os::unix::fs::symlink(town().path("town"), scratch.path("town")).unwrap();
+    scratch.copy_map(&town.join("hall.db"), "whole.db");
+    std::os::unix::fs::symlink(town.join("town"), scratch.path("town")).unwrap();
     scratch
 }

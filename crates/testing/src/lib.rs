@@ -2,9 +2,11 @@
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
 mod folders;
+mod made_once;
 mod memory;
 
 pub use folders::copy_folder;
+pub use made_once::made_once;
 pub use memory::resident_mb;
 
 use geometry::uncertain_pose::isotropic_covariance;

@@ -12,6 +12,8 @@ use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
+/// Name of the map's database.
+const DATABASE: &str = "ring.db";
 /// Radius of the ring, metres.
 const RADIUS: f64 = 14.0;
 /// Rest before the start, from which the robot finds gravity and its gyroscope's bias, seconds.
@@ -52,15 +54,21 @@ impl MappedScenario {
         Self { recordings, map }
     }
 
-    /// The scenario of most tests, built once.
+    /// The scenario of most tests; its map is built once.
     pub fn shared() -> &'static Self {
         static SHARED: OnceLock<MappedScenario> = OnceLock::new();
-        SHARED.get_or_init(|| MappedScenario::new(7))
+        SHARED.get_or_init(|| {
+            let made = testing::made_once("ring", &[], |folder| {
+                MappedScenario::new(7).database(folder);
+            });
+            let map = store::load_map(made.join(DATABASE)).unwrap().contents;
+            MappedScenario { recordings: simulate(&options(7)).unwrap(), map }
+        })
     }
 
     /// The map in a new database in `folder`, closed again.
     pub fn database(&self, folder: &Path) -> PathBuf {
-        let path = folder.join("ring.db");
+        let path = folder.join(DATABASE);
         store::save_map(&path, &self.map, false).unwrap();
         path
     }
