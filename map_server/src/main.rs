@@ -147,6 +147,9 @@ async fn show_maps(
     let names = arguments.maps.iter().map(|map| map.name.as_str());
     let beside = monitoring_routes(registry_of(server), serving);
     let mut show = Show::start(address, session, server, names, beside).await?;
+    for map in arguments.maps.iter().filter(|map| !map.is_released()) {
+        show.show_images(&map.name, Path::new(&map.place)).await;
+    }
     for map in arguments.maps.iter().filter(|map| map.is_released()) {
         let ReleasePlace { url, choice } = map.releases();
         let store = open_store(&url, arguments.release_key.as_ref())?;
@@ -194,7 +197,9 @@ async fn serve_until<S>(
         }
         if let Some(show) = show {
             for map in &arguments.maps {
-                show.update(&map.name, server).await;
+                if show.update(&map.name, server).await && !map.is_released() {
+                    show.show_images(&map.name, Path::new(&map.place)).await;
+                }
             }
         }
     }

@@ -1,10 +1,12 @@
 //! The live map in the browser: `--http`.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::Router;
+use map::store::StoredImages;
 use nalgebra::Vector3;
 use protocol::MatchOutcome;
 use recognition::{Candidate, KeyframeVerdict, LoadedMap};
@@ -71,6 +73,16 @@ impl Show {
         self.server.address()
     }
 
+    /// Shows the images that a database keeps of a map's keyframes. Where they cannot be read, the log says so, and none are shown.
+    pub async fn show_images(&self, name: &str, database: &Path) {
+        let path = database.to_owned();
+        match tokio::task::spawn_blocking(move || StoredImages::open(path)).await {
+            Ok(Ok(images)) => self.viewer.set_keyframe_images(name, Arc::new(Mutex::new(images))),
+            Ok(Err(error)) => tracing::warn!(name, "images of keyframes are not shown: {error}"),
+            Err(error) => tracing::warn!(name, "images of keyframes are not shown: {error}"),
+        }
+    }
+
     /// Shows what changed between the releases of a map, and what a candidate would change.
     ///
     /// # Arguments
@@ -93,11 +105,16 @@ impl Show {
     }
 
     /// Shows the version of a map that is served now.
-    pub async fn update(&self, name: &str, server: &MapServer) {
-        let Some(map) = server.served(name) else { return };
-        if self.viewer.version(name) != Some(map.info().version) {
+    ///
+    /// # Returns
+    /// Whether it was another one.
+    pub async fn update(&self, name: &str, server: &MapServer) -> bool {
+        let Some(map) = server.served(name) else { return false };
+        let is_new = self.viewer.version(name) != Some(map.info().version);
+        if is_new {
             set_map(&self.viewer, name, &map).await;
         }
+        is_new
     }
 
     /// Stops at once.

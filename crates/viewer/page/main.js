@@ -15,6 +15,7 @@ import { ImageQuery } from "./image_query.js";
 import { QueryLayer } from "./query_layer.js";
 import { ServerChart } from "./server_chart.js";
 import { Tabs } from "./tabs.js";
+import { KeyframeDialog, pickKeyframes, pixelOf } from "./keyframe_dialog.js";
 import { STATES, theme } from "./colors.js";
 
 const byId = (id) => document.getElementById(id);
@@ -25,6 +26,7 @@ document.documentElement.dataset.theme = chosenTheme ?? preferred;
 const scene = new Scene(byId("scene"));
 const mapLayer = new MapLayer(scene);
 const changes = new Changes(scene);
+const keyframeDialog = new KeyframeDialog();
 const visible = {};
 const robots = new Map();
 const answersSeen = new Map();
@@ -57,7 +59,7 @@ const MOST_LABELS = 40;
 const OFFER_MS = 3000;
 
 // What the page shows, and where no panel covers the map; for tests and for the console.
-window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, layers: {}, time: { isLive: true, t: null }, free: () => scene.free };
+window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, layers: {}, time: { isLive: true, t: null }, free: () => scene.free, pixelOf: (id) => pixelOf(scene, mapLayer.keyframes.get(id).position) };
 
 const link = () => new URLSearchParams(location.hash.slice(1));
 
@@ -335,6 +337,7 @@ function bind() {
     });
   });
   byId("switch").addEventListener("click", switchView);
+  pickKeyframes(scene, byId("scene"), () => (visible.keyframes ? mapLayer.keyframes.values() : []), showKeyframe);
   window.addEventListener("keydown", onKey);
   for (const kind of ["keydown", "input", "click", "resize"]) window.addEventListener(kind, () => (isChanged = true));
   window.addEventListener("hashchange", () => {
@@ -399,6 +402,18 @@ async function showRun() {
   if (Number.isFinite(t)) replay.timeline.seek(t);
 }
 
+// A keyframe of the map that is shown.
+function showKeyframe(keyframe) {
+  const map = maps.find(({ name }) => name === shown.name);
+  if (map) keyframeDialog.show(map, keyframe);
+}
+
+// A candidate of a query, where its map is shown.
+function showCandidate(map, id) {
+  const keyframe = map === shown?.name ? mapLayer.keyframes.get(id) : null;
+  if (keyframe) showKeyframe(keyframe);
+}
+
 // The candidates of a query in the map that is shown.
 function showQuery(query) {
   const isHere = query && query.map === shown?.name;
@@ -435,7 +450,7 @@ function showStored() {
   document.documentElement.classList.add("is-stored");
   tabs = null;
   queryLayer = new QueryLayer(scene);
-  queries = new Queries(showQuery);
+  queries = new Queries(showQuery, showCandidate);
   imageQuery = new ImageQuery({ mapName: () => shown?.name ?? null, onGiven: () => {}, onAnswer: showImage });
   byId("robots").hidden = true;
   byId("queries").hidden = false;
@@ -456,7 +471,7 @@ function showLive() {
     onError: (error) => notice(`The past cannot be shown: ${error.message}`),
   });
   queryLayer = new QueryLayer(scene);
-  queries = new Queries(showQuery);
+  queries = new Queries(showQuery, showCandidate);
   imageQuery = new ImageQuery({
     mapName: () => shown?.name ?? null,
     onGiven: () => tabs.choose("queries"),

@@ -40,9 +40,10 @@ function cell(row, text) {
 }
 
 export class Queries {
-  // `onShown(query)`: the query whose candidates are to be drawn, null for none.
-  constructor(onShown) {
+  // `onShown(query)`: the query whose candidates are to be drawn, null for none. `onKeyframe(map, id)`: somebody asks what a candidate is.
+  constructor(onShown, onKeyframe) {
     this.onShown = onShown;
+    this.onKeyframe = onKeyframe;
     this.select = byId("query-robot");
     this.select.addEventListener("change", () => this.restart());
     this.isOpen = false;
@@ -174,7 +175,7 @@ export class Queries {
     if (query.fix) byId("query-fix").textContent = fixText(query.fix);
     const candidates = query.candidates ?? [];
     byId("candidates").hidden = candidates.length === 0;
-    byId("candidates").tBodies[0].replaceChildren(...candidates.flatMap(candidateRows));
+    byId("candidates").tBodies[0].replaceChildren(...candidates.flatMap((candidate) => candidateRows(candidate, () => this.onKeyframe(query.map, candidate.keyframe))));
   }
 }
 
@@ -185,11 +186,15 @@ function fixText({ position, position_covariance: c, sigma_theta_rad: theta, inl
   return `Camera at (${place}) m ± ${sigma3.toFixed(2)} m, ± ${turn}° (3σ): ${inliers} of ${matched} matched features agree, ${error.toFixed(1)} px.`;
 }
 
-function candidateRows(candidate) {
+function candidateRows(candidate, onKeyframe) {
   const [numbers, words] = [document.createElement("tr"), document.createElement("tr")];
   const isCompared = candidate.verdict !== "not_compared";
   const hasPose = candidate.mean_error_px !== null;
-  cell(numbers, candidate.keyframe);
+  const button = document.createElement("button");
+  button.textContent = candidate.keyframe;
+  button.title = "Show this keyframe";
+  button.addEventListener("click", onKeyframe);
+  cell(numbers, "").append(button);
   cell(numbers, candidate.votes);
   cell(numbers, isCompared ? candidate.matches : "–");
   cell(numbers, hasPose ? candidate.inliers : "–");

@@ -4,13 +4,14 @@ use crate::access;
 use crate::assets;
 use crate::cameras::CameraAnswer;
 use crate::history::MAX_ANSWER_SAMPLES;
+use crate::keyframe_images;
 use crate::live;
 use crate::parameters::{number, parameter};
 use crate::queries::{KeptQuery, MAX_QUERIES};
 use crate::server::Viewer;
 use crate::statistics::STATISTICS_PERIOD;
 use crate::upload;
-use crate::viewed_map::{LANDMARK_BYTES, MAX_LANDMARKS};
+use crate::viewed_map::{LANDMARK_BYTES, MAX_LANDMARKS, MapSummary, ViewedMap};
 use axum::body::Bytes;
 use axum::extract::{Path, RawQuery, State};
 use axum::http::{StatusCode, header};
@@ -34,6 +35,7 @@ pub(crate) fn router(viewer: Arc<Viewer>, beside: Router) -> Router {
         .route("/{*path}", get(page_file))
         .route("/api/maps", get(maps))
         .route("/api/maps/{map}/keyframes", get(keyframes))
+        .route("/api/maps/{map}/keyframes/{keyframe}/image", get(keyframe_images::image))
         .route("/api/maps/{map}/landmarks", get(landmarks))
         .route("/api/maps/{map}/cameras", get(cameras))
         .route("/api/maps/{map}/changes", get(changes))
@@ -99,8 +101,21 @@ async fn large<T: Serialize>(viewer: &Viewer, bytes: usize, answer: impl FnOnce(
     )
 }
 
+/// A map in `/api/maps`.
+#[derive(Serialize)]
+struct ListedMap {
+    #[serde(flatten)]
+    summary: MapSummary,
+    /// How many keyframes have an image here.
+    keyframe_images: usize,
+}
+
 async fn maps(State(viewer): State<Arc<Viewer>>) -> impl IntoResponse {
-    let maps: Vec<_> = viewer.maps().iter().map(|map| map.summary.clone()).collect();
+    let listed = |map: &Arc<ViewedMap>| {
+        let keyframe_images = viewer.keyframe_images(map.name()).map_or(0, |images| images.count());
+        ListedMap { summary: map.summary.clone(), keyframe_images }
+    };
+    let maps: Vec<ListedMap> = viewer.maps().iter().map(listed).collect();
     Json(json!({
         "maps": maps,
         "is_run": viewer.run().is_some(),

@@ -42,6 +42,7 @@ pub const ASSETS: &[Asset] = &[
     page_file!("queries.js", SCRIPT),
     page_file!("query_layer.js", SCRIPT),
     page_file!("image_query.js", SCRIPT),
+    page_file!("keyframe_dialog.js", SCRIPT),
     page_file!("server_chart.js", SCRIPT),
     page_file!("chart.js", SCRIPT),
     page_file!("changes_layer.js", SCRIPT),

@@ -8,6 +8,7 @@
 //! | `/` and the names of [`assets`] | the page |
 //! | `/api/maps` | the maps: name, identity, version, counts, extent, direction of gravity |
 //! | `/api/maps/{map}/keyframes` | poses with the covariance of the position, metres, in the map's frame G |
+//! | `/api/maps/{map}/keyframes/{id}/image` | the image of a keyframe, JPEG, where the map keeps it |
 //! | `/api/maps/{map}/landmarks?limit=N` | positions in G as little-endian `f32` triples, metres; an even sample of N |
 //! | `/api/maps/{map}/changes` | keyframes that moved, appeared or are gone, since the release before and in an open candidate |
 //! | `/api/maps/{map}/cameras` | the different cameras of the keyframes |
@@ -52,6 +53,7 @@ mod error;
 mod fair_log;
 mod history;
 mod images;
+mod keyframe_images;
 mod live;
 mod outbox;
 mod parameters;
@@ -67,6 +69,7 @@ pub use changes::{ViewedChange, ViewedChanges};
 pub use error::ViewerError;
 pub use history::MAX_SAMPLES;
 pub use images::{GivenImage, ImageCamera, ImageError, LocalizeImage, MAX_IMAGE_BYTES};
+pub use keyframe_images::KeyframeImages;
 pub use live::{MAX_VIEWERS, RobotFollower, follow_robots};
 pub use monitoring::MAX_CONNECTIONS;
 pub use outbox::MAX_UNSENT_BYTES;

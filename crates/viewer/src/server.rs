@@ -4,6 +4,7 @@ use crate::api;
 use crate::changes::ViewedChanges;
 use crate::error::ViewerError;
 use crate::images::LocalizeImage;
+use crate::keyframe_images::KeyframeImages;
 use crate::live::Live;
 use crate::outbox::Outbox;
 use crate::queries::ViewedQuery;
@@ -22,6 +23,7 @@ use tokio::task::JoinHandle;
 /// What is shown: maps, robots, a run.
 pub struct Viewer {
     maps: RwLock<BTreeMap<String, Arc<ViewedMap>>>,
+    keyframe_images: RwLock<BTreeMap<String, Arc<dyn KeyframeImages>>>,
     /// How maps differ from other releases, as JSON.
     changes: RwLock<BTreeMap<String, Bytes>>,
     /// The recorded run as JSON.
@@ -31,6 +33,8 @@ pub struct Viewer {
     images: OnceLock<Arc<dyn LocalizeImage>>,
     /// Images are localized one at a time.
     pub(crate) image_turn: Arc<Semaphore>,
+    /// Images of keyframes are read one at a time.
+    pub(crate) disk_turn: Arc<Semaphore>,
     pub(crate) outbox: Outbox,
     pub(crate) live: Live,
 }
@@ -58,11 +62,13 @@ impl Viewer {
     fn empty(is_live: bool) -> Self {
         Self {
             maps: RwLock::default(),
+            keyframe_images: RwLock::default(),
             changes: RwLock::default(),
             run: RwLock::default(),
             is_live,
             images: OnceLock::new(),
             image_turn: Arc::new(Semaphore::new(1)),
+            disk_turn: Arc::new(Semaphore::new(1)),
             outbox: Outbox::default(),
             live: Live::default(),
         }
@@ -91,6 +97,17 @@ impl Viewer {
         maps.insert(name.clone(), Arc::new(map));
         drop(maps);
         self.live.note_map(&name, version, revision);
+    }
+
+    /// Shows the images of a map's keyframes, in place of those before.
+    pub fn set_keyframe_images(&self, name: &str, images: Arc<dyn KeyframeImages>) {
+        self.keyframe_images.write().unwrap_or_else(PoisonError::into_inner).insert(name.to_owned(), images);
+    }
+
+    /// The images of a map's keyframes, where there are some.
+    pub(crate) fn keyframe_images(&self, name: &str) -> Option<Arc<dyn KeyframeImages>> {
+        let all = self.keyframe_images.read().unwrap_or_else(PoisonError::into_inner);
+        all.get(name).filter(|images| images.count() > 0).cloned()
     }
 
     /// Shows how a map differs from its last release and from a candidate, in place of what was shown before; open pages load it.

@@ -11,6 +11,7 @@ mod image_upload;
 #[path = "common/inspection.rs"]
 mod inspection;
 mod kept;
+mod keyframe_images;
 mod live;
 mod page;
 #[cfg(target_os = "linux")]

@@ -10,6 +10,7 @@ use map::{MapContents, store};
 use map_server::{ImageLocalizer, ServedMap};
 use nalgebra::Vector3;
 use recognition::LoadedMap;
+use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -66,9 +67,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Viewer::of_stored_maps()
     };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    if let Some((path, contents)) = database.zip(contents) {
+    if let Some((path, mut contents)) = database.zip(contents) {
         let name = name_of(path);
         viewer.set_map(ViewedMap::of_contents(&name, &contents));
+        let images = std::mem::take(&mut contents.images).into_iter();
+        let images: BTreeMap<_, _> = images.map(|image| (image.keyframe, image.jpeg)).collect();
+        viewer.set_keyframe_images(&name, Arc::new(images));
         if args.run.is_none() {
             let viewer = Arc::clone(&viewer);
             // The index of a large map takes a while; the page does not wait for it.
