@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
-use geometry::Pose;
 use map::{Landmark, LandmarkExistence, MapContents, edit};
 use mapping::BuildReport;
 use nalgebra::Vector3;
@@ -160,16 +159,10 @@ pub(crate) fn remove_gone_of_added_kinds(contents: &mut MapContents, gone_m: &[[
         .map(|(_, position)| position)
         .filter(|position| nearest(&gone, position) < 2.0 * SAME_OBJECT_M)
         .collect();
-    let poses: BTreeMap<KeyframeId, Pose> =
-        contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
-    for added in &mut contents.added_features {
-        added.landmarks.retain(|landmark| {
-            let Some(anchor) = poses.get(&landmark.anchor) else { return true };
-            let position = anchor.transform(&landmark.position_in_anchor);
-            let from_gone = nearest(&gone, &position);
-            from_gone > SAME_OBJECT_M || nearest(&left, &position) <= from_gone
-        });
-    }
+    edit::retain_added_landmarks(contents, |position| {
+        let from_gone = nearest(&gone, position);
+        from_gone > SAME_OBJECT_M || nearest(&left, position) <= from_gone
+    });
 }
 
 /// How many landmarks each keyframe observes of those that a condition holds for.

@@ -111,6 +111,16 @@ pub struct Landmark {
     pub observations: Vec<Observation>,
 }
 
+impl Landmark {
+    /// The same landmark in a map whose keyframes and landmarks have other ids: higher ones by so much.
+    pub fn with_higher_ids(mut self, of_keyframes: KeyframeId, of_landmarks: LandmarkId) -> Landmark {
+        self.id += of_landmarks;
+        self.anchor += of_keyframes;
+        self.observations.iter_mut().for_each(|observation| observation.keyframe += of_keyframes);
+        self
+    }
+}
+
 /// A landmark as one keyframe saw it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {

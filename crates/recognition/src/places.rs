@@ -53,11 +53,9 @@ impl LoadedMap {
         eligible: &dyn Fn(KeyframeId) -> bool,
         options: &RecognitionOptions,
     ) -> Result<Vec<VerifiedPlace>, QueryError> {
-        if features.len() < options.min_inliers {
+        let Some((map, image)) = self.searched(camera, features, gravity_in_camera, options)? else {
             return Ok(Vec::new());
-        }
-        let map = self.for_features(features);
-        let image = Image { camera, features, descriptors: map.view(features)?, gravity_in_camera };
+        };
         let is_eligible = |at: usize| eligible(self.poses.keyframes[at].id);
         let verified = map.verified_keyframes(&image, is_eligible, options)?;
         let mut places: Vec<VerifiedPlace> =
@@ -79,11 +77,9 @@ impl LoadedMap {
         gravity_in_camera: Option<Vector3<f64>>,
         options: &RecognitionOptions,
     ) -> Result<Vec<(VerifiedPlace, bool)>, QueryError> {
-        if features.len() < options.min_inliers {
+        let Some((map, image)) = self.searched(camera, features, gravity_in_camera, options)? else {
             return Ok(Vec::new());
-        }
-        let map = self.for_features(features);
-        let image = Image { camera, features, descriptors: map.view(features)?, gravity_in_camera };
+        };
         let mut verified = map.verified_keyframes(&image, |_| true, options)?;
         let groups = group_places(&mut verified, options);
         let hypotheses = map.hypotheses(&image, &verified, &groups, map.aliasing_rate().log_odds());
@@ -92,6 +88,22 @@ impl LoadedMap {
         let is_told_apart = |at: usize| is_certain && groups[0].contains(&at);
         let weighed = |(at, found)| (VerifiedPlace::new(map, found), is_told_apart(at));
         Ok(verified.iter().enumerate().map(weighed).collect())
+    }
+
+    /// What is compared with an image, and the image for it; `None` where it has too few features for any place.
+    fn searched<'a>(
+        &'a self,
+        camera: &'a Camera,
+        features: &'a FeatureSet,
+        gravity_in_camera: Option<Vector3<f64>>,
+        options: &RecognitionOptions,
+    ) -> Result<Option<(&'a LoadedMap, Image<'a>)>, QueryError> {
+        if features.len() < options.min_inliers {
+            return Ok(None);
+        }
+        let map = self.for_features(features);
+        let image = Image { camera, features, descriptors: map.view(features)?, gravity_in_camera };
+        Ok(Some((map, image)))
     }
 
     /// Those of the keyframes with the most votes that show what an image shows, each verified for itself, most votes first.

@@ -23,8 +23,7 @@ const REACH: f64 = 3.0;
 /// The picture cannot be written.
 pub fn draw_coverage(map: &MapContents, path: &Path) -> anyhow::Result<PathBuf> {
     let view = PlanView::along(&map.info.gravity_in_global.unwrap_or_else(|| -Vector3::z()));
-    let poses: HashMap<_, _> =
-        map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
+    let poses = map.keyframe_poses();
     let positions: Vec<(f64, f64)> = poses.values().map(|pose| view.project(&pose.translation)).collect();
     let (middle, extent) = middle_and_extent(&positions);
     let mut seen: HashMap<u64, usize> = HashMap::new();

@@ -99,13 +99,14 @@ impl MapContents {
         if is_extended { EXTENDED_STORE_SCHEMA } else { STORE_SCHEMA }
     }
 
+    /// The poses of the keyframes.
+    pub fn keyframe_poses(&self) -> BTreeMap<KeyframeId, Pose> {
+        self.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect()
+    }
+
     /// The landmarks with their positions in G (m); without those whose anchor is missing, which no valid map has.
     pub fn landmarks_in_global(&self) -> impl Iterator<Item = (&Landmark, Vector3<f64>)> {
-        let poses: BTreeMap<KeyframeId, &Pose> = self
-            .keyframes
-            .iter()
-            .map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose))
-            .collect();
+        let poses = self.keyframe_poses();
         self.landmarks.iter().filter_map(move |landmark| {
             Some((landmark, poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor)))
         })

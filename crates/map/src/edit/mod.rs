@@ -53,31 +53,59 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
 /// # Ok::<(), map::ContentsError>(())
 /// ```
 pub fn remove_keyframes(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
-    let poses: BTreeMap<KeyframeId, Pose> =
-        contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
-    contents.keyframes.retain(|keyframe| !removed.contains(&keyframe.id));
+    let poses = contents.keyframe_poses();
+    let stays = |keyframe: KeyframeId| !removed.contains(&keyframe);
+    contents.keyframes.retain(|keyframe| stays(keyframe.id));
     for landmarks in contents.landmarks_of_kinds_mut() {
-        for landmark in landmarks.iter_mut() {
-            landmark.observations.retain(|observation| !removed.contains(&observation.keyframe));
-            let Some(next) = landmark.observations.first() else { continue };
-            if removed.contains(&landmark.anchor) {
-                let in_global = poses[&landmark.anchor].transform(&landmark.position_in_anchor);
-                landmark.anchor = next.keyframe;
-                landmark.position_in_anchor = poses[&next.keyframe].inverse_transform(&in_global);
-            }
-        }
-        landmarks.retain(|landmark| !landmark.observations.is_empty());
+        landmarks.retain_mut(|landmark| keep_observations(landmark, &poses, stays));
     }
     contents.drop_dangling();
 }
 
+/// Leaves a landmark the observations of some keyframes, in the frame of the first of them where it had another one's.
+///
+/// # Returns
+/// Whether there are any.
+fn keep_observations(
+    landmark: &mut Landmark,
+    poses: &BTreeMap<KeyframeId, Pose>,
+    stays: impl Fn(KeyframeId) -> bool,
+) -> bool {
+    landmark.observations.retain(|observation| stays(observation.keyframe));
+    let Some(next) = landmark.observations.first() else { return false };
+    if !stays(landmark.anchor) {
+        let [Some(before), Some(now)] = [landmark.anchor, next.keyframe].map(|keyframe| poses.get(&keyframe))
+        else {
+            return false;
+        };
+        let in_global = before.transform(&landmark.position_in_anchor);
+        landmark.anchor = next.keyframe;
+        landmark.position_in_anchor = now.inverse_transform(&in_global);
+    }
+    true
+}
+
 /// Takes out the landmarks, of all kinds of features, for whose position in G (m) a condition does not hold.
 pub fn retain_landmarks(contents: &mut MapContents, holds: impl Fn(&Vector3<f64>) -> bool) {
-    let poses: BTreeMap<KeyframeId, Pose> =
-        contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
-    let position = |landmark: &Landmark| poses[&landmark.anchor].transform(&landmark.position_in_anchor);
+    let poses = contents.keyframe_poses();
     for landmarks in contents.landmarks_of_kinds_mut() {
-        landmarks.retain(|landmark| holds(&position(landmark)));
+        retain_where(landmarks, &poses, &holds);
     }
     contents.drop_existence_of_others();
+}
+
+/// As [`retain_landmarks`], those of added kinds of features only.
+pub fn retain_added_landmarks(contents: &mut MapContents, holds: impl Fn(&Vector3<f64>) -> bool) {
+    let poses = contents.keyframe_poses();
+    for added in &mut contents.added_features {
+        retain_where(&mut added.landmarks, &poses, &holds);
+    }
+}
+
+fn retain_where(
+    landmarks: &mut Vec<Landmark>,
+    poses: &BTreeMap<KeyframeId, Pose>,
+    holds: impl Fn(&Vector3<f64>) -> bool,
+) {
+    landmarks.retain(|landmark| holds(&poses[&landmark.anchor].transform(&landmark.position_in_anchor)));
 }

@@ -1,11 +1,12 @@
 //! A part of a map: some of its keyframes, and what they observe.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use protocol::{KeyframeId, LandmarkId};
 
+use super::keep_observations;
 use crate::contents::MapContents;
-use crate::model::{Keyframe, KeyframeAliases, Landmark};
+use crate::model::{KeyframeAliases, Landmark};
 
 /// Some keyframes of a map with the landmarks of the primary kind that they observe, as a map: observations and covariances are those
 /// within the part. A landmark whose anchor is not in the part is expressed in the frame of the first of its keyframes that observes it.
@@ -25,29 +26,10 @@ use crate::model::{Keyframe, KeyframeAliases, Landmark};
 /// ```
 pub fn part_of(contents: &MapContents, keyframes: &BTreeSet<KeyframeId>) -> MapContents {
     let has = |id: &KeyframeId| keyframes.contains(id);
-    let all: BTreeMap<KeyframeId, &Keyframe> =
-        contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
-    let pose = |id: &KeyframeId| all.get(id).map(|keyframe| &keyframe.global_from_keyframe.pose);
-    let landmark_in_part = |landmark: &Landmark| {
-        let observations = landmark.observations.iter().filter(|seen| has(&seen.keyframe)).cloned();
-        let mut of_part = Landmark {
-            id: landmark.id,
-            anchor: landmark.anchor,
-            position_in_anchor: landmark.position_in_anchor,
-            observations: observations.collect(),
-        };
-        let first = of_part.observations.first()?.keyframe;
-        if !has(&of_part.anchor) {
-            let in_global = pose(&of_part.anchor)?.transform(&of_part.position_in_anchor);
-            of_part.position_in_anchor = pose(&first)?.inverse_transform(&in_global);
-            of_part.anchor = first;
-        }
-        Some(of_part)
-    };
-    let is_seen =
-        |landmark: &&Landmark| landmark.observations.iter().any(|seen| keyframes.contains(&seen.keyframe));
-    let landmarks: Vec<Landmark> =
-        contents.landmarks.iter().filter(is_seen).filter_map(landmark_in_part).collect();
+    let poses = contents.keyframe_poses();
+    let is_seen = |landmark: &&Landmark| landmark.observations.iter().any(|seen| has(&seen.keyframe));
+    let mut landmarks: Vec<Landmark> = contents.landmarks.iter().filter(is_seen).cloned().collect();
+    landmarks.retain_mut(|landmark| keep_observations(landmark, &poses, |keyframe| has(&keyframe)));
     let landmark_ids: BTreeSet<LandmarkId> = landmarks.iter().map(|landmark| landmark.id).collect();
     let aliases = contents.aliases.iter().filter(|aliases| has(&aliases.keyframe));
     let within = |aliases: &KeyframeAliases| KeyframeAliases {

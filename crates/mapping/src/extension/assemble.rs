@@ -58,18 +58,16 @@ pub(super) fn extended(
     }
     enter(&mut contents.info, builder.session(), &recording.keyframes);
     contents.keyframes.append(&mut recording.keyframes);
-    for landmark in &mut recording.landmarks {
-        landmark.id += ids.last_landmark;
-        landmark.anchor += ids.last_keyframe;
-        landmark.observations.iter_mut().for_each(|observation| observation.keyframe += ids.last_keyframe);
-    }
     add_observations(&mut contents.landmarks, &again, builder, ids.last_keyframe);
     if builder.options.map_poses == MapPoses::Considered {
         place_again(&mut contents, &again);
     } else {
         place_added(&mut contents);
     }
-    contents.landmarks.append(&mut recording.landmarks);
+    let new = recording.landmarks.into_iter();
+    contents
+        .landmarks
+        .extend(new.map(|landmark| landmark.with_higher_ids(ids.last_keyframe, ids.last_landmark)));
     contents.renumber_added();
     (contents.cross_covariances, contents.common_errors) =
         joint.of_keyframes(|view| match builder.views.get(view) {

@@ -6,7 +6,7 @@ use adjustment::LandmarkTie;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
-use map::model::{Keyframe, Landmark, LandmarkExistence};
+use map::model::{Keyframe, LandmarkExistence};
 use map::sessions::Session;
 use map::{AddedFeatures, KeptImage};
 use nalgebra::Vector3;
@@ -97,7 +97,7 @@ fn add_landmarks(
     let renamed = |of: &LandmarkExistence| LandmarkExistence { landmark: of.landmark + last_landmark, ..*of };
     contents.existence.extend(second.existence.iter().filter(is_new).map(renamed));
     for landmark in &second.landmarks {
-        let mut of_both = in_merged(landmark, last_keyframe, last_landmark);
+        let mut of_both = landmark.clone().with_higher_ids(last_keyframe, last_landmark);
         let Some(tie) = tie_of.get(&landmark.id) else {
             contents.landmarks.push(of_both);
             continue;
@@ -120,7 +120,8 @@ fn added_features(
     let ids = first.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks).map(|landmark| landmark.id);
     let last_landmark = ids.max().unwrap_or_default();
     for AddedFeatures { kind, landmarks } in &second.added_features {
-        let renamed = landmarks.iter().map(|landmark| in_merged(landmark, last_keyframe, last_landmark + 1));
+        let renamed = landmarks.iter().cloned();
+        let renamed = renamed.map(|landmark| landmark.with_higher_ids(last_keyframe, last_landmark + 1));
         match all.iter_mut().find(|of| of.kind.extractor == kind.extractor) {
             Some(of_both) => {
                 of_both.kind.sigma_px = of_both.kind.sigma_px.max(kind.sigma_px);
@@ -130,15 +131,6 @@ fn added_features(
         }
     }
     all
-}
-
-/// A landmark of the second map with other ids.
-fn in_merged(landmark: &Landmark, last_keyframe: KeyframeId, last_landmark: LandmarkId) -> Landmark {
-    let mut landmark = landmark.clone();
-    landmark.id += last_landmark;
-    landmark.anchor += last_keyframe;
-    landmark.observations.iter_mut().for_each(|seen| seen.keyframe += last_keyframe);
-    landmark
 }
 
 /// Fills in the statistics of the merged map.

@@ -62,8 +62,7 @@ fn put_back_landmarks(
     let known: BTreeSet<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let was: BTreeMap<LandmarkId, _> =
         before.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
-    let poses: BTreeMap<KeyframeId, _> =
-        map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
+    let poses = map.keyframe_poses();
     map.landmarks.retain(|landmark| !gone.contains(&landmark.id));
     let mut new: Vec<Landmark> = Vec::new();
     for (landmark, position) in after.landmarks_in_global() {
