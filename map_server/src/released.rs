@@ -5,7 +5,9 @@ use std::path::Path;
 use anyhow::Context;
 use protocol::MapIdentity;
 use recognition::LoadedMap;
-use releases::{Release, ReleaseError, ReleaseKey, ReleasePlace, ReleaseSource, ReleaseStore, fetch};
+use releases::{
+    Release, ReleaseError, ReleaseKey, ReleasePlace, ReleaseSource, ReleaseStore, fetch_without_images,
+};
 use tokio::runtime::Handle;
 
 /// Opens a store whose releases must be signed with a key, if there is one.
@@ -57,7 +59,7 @@ impl ReleasedMap {
 
     fn load_release(&self, release: &Release) -> anyhow::Result<LoadedMap> {
         let ReleaseSource { store, cache, .. } = &self.source;
-        let contents = Handle::current().block_on(fetch(store, release, Some(cache)))?;
+        let contents = Handle::current().block_on(fetch_without_images(store, release, Some(cache)))?;
         let map = LoadedMap::from_contents(contents)
             .with_context(|| format!("{} of {}", release.title(), store.place()))?;
         tracing::info!(

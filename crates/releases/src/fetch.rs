@@ -27,11 +27,7 @@ pub async fn fetch(
     release: &Release,
     cache: Option<&ReleaseCache>,
 ) -> Result<MapContents, ReleaseError> {
-    let mut cells = Vec::with_capacity(release.cells.len());
-    for cell in &release.cells {
-        cells.push(whole_cell(store, cell, cache).await?);
-    }
-    let contents = join(release.map.clone(), &release.added_kinds, cells);
+    let contents = joined(store, release, cache, true).await?;
     let digest = contents.digest();
     if digest != release.digest {
         let damage = Damage::Digest { found: digest, stated: release.digest };
@@ -40,17 +36,49 @@ pub async fn fetch(
     Ok(contents)
 }
 
+/// As [`fetch`](fn@fetch), without the images of keyframes: a server has no use for them. The digest of a map is that of all of it; of one with
+/// images every segment is checked by itself.
+///
+/// # Errors
+/// As [`fetch`](fn@fetch).
+pub async fn fetch_without_images(
+    store: &ReleaseStore,
+    release: &Release,
+    cache: Option<&ReleaseCache>,
+) -> Result<MapContents, ReleaseError> {
+    if release.cells.iter().all(|cell| cell.images.is_none()) {
+        return fetch(store, release, cache).await;
+    }
+    let contents = joined(store, release, cache, false).await?;
+    contents.validate()?;
+    Ok(contents)
+}
+
+async fn joined(
+    store: &ReleaseStore,
+    release: &Release,
+    cache: Option<&ReleaseCache>,
+    with_images: bool,
+) -> Result<MapContents, ReleaseError> {
+    let mut cells = Vec::with_capacity(release.cells.len());
+    for cell in &release.cells {
+        cells.push(whole_cell(store, cell, cache, with_images).await?);
+    }
+    Ok(join(release.map.clone(), &release.added_kinds, cells))
+}
+
 /// What the whole map has in a cell.
 async fn whole_cell(
     store: &ReleaseStore,
     cell: &ReleasedCell,
     cache: Option<&ReleaseCache>,
+    with_images: bool,
 ) -> Result<JoinedCell, ReleaseError> {
     let mut added = Vec::with_capacity(cell.added_features.len());
     for name in &cell.added_features {
         added.push(cell_contents(store, name, cache).await?.landmarks);
     }
-    let images = match &cell.images {
+    let images = match cell.images.as_ref().filter(|_| with_images) {
         Some(name) => {
             let bytes = segment(store, name, cache).await?;
             decode_images(&bytes).map_err(|source| unreadable(store, name, source))?

@@ -81,7 +81,7 @@ pub use clean::{CleanOptions, Cleaned, clean};
 pub use coarse::{CoarseCell, CoarseLandmark};
 pub use damage::Damage;
 pub use error::ReleaseError;
-pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse};
+pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse, fetch_without_images};
 pub use map::file::{SegmentError, SegmentName};
 pub use partition::{CellId, Partition, PartitionError};
 pub use place::{ReleaseChoice, ReleaseChoiceError, ReleasePlace};

@@ -3,8 +3,11 @@
 
 use std::path::Path;
 
+use map::MapContents;
 use releases::release::{EXTENDED_RELEASE_SCHEMA, RELEASE_SCHEMA};
-use releases::{PublishOptions, ReleaseStore, fetch, fetch_cell, fetch_coarse, publish};
+use releases::{
+    PublishOptions, ReleaseStore, fetch, fetch_cell, fetch_coarse, fetch_without_images, publish,
+};
 use testing::{Place, PlaceOptions, add_aliases, add_common_errors, add_images, add_second_kind};
 
 /// Set to write the folder of the newest one again, for a format that was not released.
@@ -64,7 +67,9 @@ async fn is_read(schema: u16) {
     let expected = if is_extended { (1, 3) } else { (0, 0) };
     assert_eq!((map.added_features.len(), map.images.len()), expected);
     assert!(map.added_features.iter().all(|added| !added.landmarks.is_empty()));
-    assert_eq!((map.digest(), map.info), (release.digest, release.map.clone()));
+    assert_eq!((map.digest(), &map.info), (release.digest, &release.map));
+    let without = fetch_without_images(&store, &release, None).await.unwrap();
+    assert_eq!(without, MapContents { images: Vec::new(), ..map });
     assert_eq!(fetch_coarse(&store, &release, None).await.unwrap().len(), 2);
     for cell in &release.cells {
         let fetched = fetch_cell(&store, &release, cell.cell, None).await.unwrap();
