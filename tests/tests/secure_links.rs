@@ -5,6 +5,7 @@ use std::path::Path;
 use tests::fleet::{PATIENCE, secured};
 use tests::network::runtime;
 use tools::in_process::free_endpoint;
+use zenoh::Wait as _;
 use zenoh::handlers::FifoChannelHandler;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::CongestionControl;
@@ -89,6 +90,57 @@ fn both_ends_send_at_once_and_messages_end() {
             publish(&connecting, KEYS[1], 50),
             receive(&listening, KEYS[1], 50),
         );
+        close_session(&connecting).await;
+        close_session(&listening).await;
+    });
+}
+
+/// A TLS connection takes new keys after so many records of one direction: 2^23 with AES-GCM.
+const RECORDS_OF_A_KEY: u64 = 1 << 23;
+
+/// Publishes numbers, each in a record of its own. Waiting for the link takes the thread.
+fn count_up(session: &zenoh::Session, key: &'static str, to: u64) {
+    let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Block).express(true);
+    let publisher = publisher.wait().unwrap();
+    while !publisher.matching_status().wait().unwrap().matching() {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    for number in 0..to {
+        publisher.put(number.to_le_bytes()).wait().unwrap();
+    }
+}
+
+/// Waits for all numbers in their order.
+async fn hear(session: zenoh::Session, key: &'static str, to: u64) -> Subscriber<FifoChannelHandler<Sample>> {
+    let subscriber = session.declare_subscriber(key).await.unwrap();
+    for number in 0..to {
+        let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async()).await;
+        let sample = sample.unwrap_or_else(|_| panic!("number {number} does not come")).unwrap();
+        assert_eq!(sample.payload().to_bytes().as_ref(), number.to_le_bytes());
+    }
+    subscriber
+}
+
+#[test]
+#[ignore = "minutes"]
+fn both_ends_take_new_keys_while_they_send() {
+    let folder = tempfile::tempdir().unwrap();
+    let endpoint = free_endpoint().unwrap();
+    let to = std::env::var("RECORDS").map_or(RECORDS_OF_A_KEY * 9 / 8, |text| text.parse().unwrap());
+    runtime().block_on(async {
+        let [listening, connecting] = linked(&folder.path().join("fleet"), &endpoint).await;
+        let sending = [(&listening, KEYS[0]), (&connecting, KEYS[1])].map(|(session, key)| {
+            let session = session.clone();
+            tokio::task::spawn_blocking(move || count_up(&session, key, to))
+        });
+        let hearing = [(&connecting, KEYS[0]), (&listening, KEYS[1])]
+            .map(|(session, key)| tokio::spawn(hear(session.clone(), key, to)));
+        for task in hearing {
+            task.await.unwrap();
+        }
+        for task in sending {
+            task.await.unwrap();
+        }
         close_session(&connecting).await;
         close_session(&listening).await;
     });
