@@ -13,7 +13,7 @@ const MAX_STEPS: usize = 20;
 /// is a small part of a standard deviation in every direction.
 const CONVERGED: f64 = 1e-2;
 /// Parts of a step that are tried, longest first.
-const PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
+pub(crate) const PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
 
 impl Problem<'_> {
     /// Minimizes the cost from an initial bundle without damping.
@@ -42,9 +42,8 @@ impl Problem<'_> {
             let before = cost;
             for &part in parts {
                 let candidate = self.stepped(&bundle, &step, part, scale);
-                let after = self.cost(&candidate, scale);
-                if after < before {
-                    (bundle, cost) = (candidate, after);
+                if let Some(lowered) = self.lowered((&bundle, before), candidate, scale) {
+                    (bundle, cost) = lowered;
                     break;
                 }
             }

@@ -4,6 +4,7 @@
 //! Antonante, Tzoumas & Carlone, "Graduated non-convexity for robust spatial perception", RA-L 2020.
 
 use crate::bundle::Bundle;
+use crate::gauss_newton::PARTS;
 use crate::problem::Problem;
 use crate::sparse_system::SparseCholesky;
 
@@ -37,8 +38,9 @@ impl Problem<'_> {
             progress(step, MAX_STEPS);
             let before = self.cost(&bundle, scale);
             let candidate = self.step(&bundle, scale, damping, &mut cholesky);
-            let after = candidate.as_ref().map_or(f64::INFINITY, |candidate| self.cost(candidate, scale));
-            if let Some(candidate) = candidate.filter(|_| after < before) {
+            let lowered = candidate.and_then(|candidate| self.lowered((&bundle, before), candidate, scale));
+            let after = lowered.as_ref().map_or(f64::INFINITY, |(_, after)| *after);
+            if let Some((candidate, _)) = lowered {
                 bundle = candidate;
                 damping = (damping / 3.0).max(least);
                 accepted_scale = scale;
@@ -54,6 +56,6 @@ impl Problem<'_> {
         progress(MAX_STEPS, MAX_STEPS);
         // Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which are relative
         // to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
-        self.undamped_steps(bundle, last_scale, &[1.0], &mut cholesky)
+        self.undamped_steps(bundle, last_scale, &PARTS, &mut cholesky)
     }
 }

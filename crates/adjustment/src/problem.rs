@@ -103,6 +103,39 @@ impl Problem<'_> {
         next
     }
 
+    /// A bundle after a step, and its cost, if that is lower than before.
+    ///
+    /// Where it is not, landmarks that the step made worse stay where they were: one that its pixels hardly determine goes astray with any
+    /// part of a step, and would keep everything else from moving.
+    ///
+    /// # Arguments
+    /// * `before`: cost of the bundle before the step.
+    pub(crate) fn lowered(
+        &self,
+        (start, before): (&Bundle, f64),
+        mut candidate: Bundle,
+        scale: f64,
+    ) -> Option<(Bundle, f64)> {
+        let after = self.cost(&candidate, scale);
+        if after < before {
+            return Some((candidate, after));
+        }
+        let poses = candidate.view_poses();
+        for (moved, unmoved) in candidate.landmarks.iter_mut().zip(&start.landmarks) {
+            let cost = |landmark: &InverseDepthLandmark| {
+                let of_prior =
+                    landmark.prior.as_ref().map_or(0.0, |prior| prior.cost(landmark, &candidate.poses));
+                of_prior + self.landmark_cost(landmark, &poses, scale)
+            };
+            let (of_moved, of_unmoved) = (cost(moved), cost(unmoved));
+            if of_moved.is_nan() || of_moved > of_unmoved {
+                moved.clone_from(unmoved);
+            }
+        }
+        let after = self.cost(&candidate, scale);
+        (after < before).then_some((candidate, after))
+    }
+
     /// Steps of one landmark for fixed poses.
     fn adjust_landmark(&self, landmark: &mut InverseDepthLandmark, poses: &[ViewPose], scale: f64) {
         let mut cost = None;

@@ -113,8 +113,9 @@ impl Year {
 /// Lives a year of so many sessions, with bad ones among them.
 ///
 /// # Arguments
+/// * `lived`: the sessions that are lived.
 /// * `bad_after`: the sessions after which bad ones are handed in.
-fn live(seed: u64, sessions: u64, bad_after: &[u64]) -> Year {
+fn live(seed: u64, sessions: u64, lived: u64, bad_after: &[u64]) -> Year {
     let place = ChangingPlace::new(&options(seed)).unwrap();
     let mut first = place.record(100_000, FIRST_NS).unwrap();
     let mut truth = Truth::default();
@@ -124,7 +125,7 @@ fn live(seed: u64, sessions: u64, bad_after: &[u64]) -> Year {
     let world_from_global = global_from_world.inverse();
     let elsewhere = ChangingPlace::new(&options(seed + 1000)).unwrap();
     let mut year = Year { place, elsewhere, map, sessions, gone: [0; 2], sizes: Vec::new() };
-    for session in 1..=sessions {
+    for session in 1..=lived {
         year.place.move_landmarks(1.0 - (1.0 - MOVED).powf(1.0 / sessions as f64), session);
         let recorded = year.place.record(session, year.begin_ns(session)).unwrap();
         truth.add(&recorded);
@@ -148,15 +149,21 @@ fn live(seed: u64, sessions: u64, bad_after: &[u64]) -> Year {
 
 #[test]
 fn a_short_year_keeps_the_map_true_and_refuses_bad_sessions() {
-    let year = live(1, 5, &[3]);
+    let year = live(1, 5, 5, &[3]);
     assert!(year.gone[0] > 10, "{:?}", year.gone);
     assert!(year.gone[1] * 4 < year.gone[0], "{:?}", year.gone);
+}
+
+/// In the second session of this draw the step of one landmark is never lower: it kept the whole session 19 mm off, at 2 mm claimed.
+#[test]
+fn a_landmark_that_goes_astray_keeps_no_session_where_it_began() {
+    live(7, 6, 2, &[]);
 }
 
 #[test]
 #[ignore = "takes minutes"]
 fn a_year_keeps_the_map_true_of_its_size_and_refuses_bad_sessions() {
-    let year = live(1, 100, &[20, 60, 100]);
+    let year = live(1, 100, 100, &[20, 60, 100]);
     // By then robots have come to most views.
     let settled = &year.sizes[year.sizes.len() / 2..];
     for of in 0..2 {

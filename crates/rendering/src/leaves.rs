@@ -137,9 +137,7 @@ impl Leaf {
                 to = to.min(room / nx);
             } else if *nx < -PARALLEL {
                 from = from.max(room / nx);
-            } else if room < -PARALLEL * reach {
-                return None;
-            } else if larger < 0.0 && room < PARALLEL * reach {
+            } else if room < if larger < 0.0 { PARALLEL * reach } else { -PARALLEL * reach } {
                 return None;
             }
         }
