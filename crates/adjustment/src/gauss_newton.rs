@@ -13,7 +13,7 @@ const MAX_STEPS: usize = 20;
 /// is a small part of a standard deviation in every direction.
 const CONVERGED: f64 = 1e-2;
 /// Parts of a step that are tried, longest first.
-pub(crate) const PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
+const PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
 
 impl Problem<'_> {
     /// Minimizes the cost from an initial bundle without damping.
@@ -21,18 +21,19 @@ impl Problem<'_> {
     /// # Arguments
     /// * `scale`: of the robust loss (standard deviations); infinite for least squares.
     pub fn minimize_undamped(&self, start: Bundle, scale: f64) -> Bundle {
-        self.undamped_steps(start, scale, &PARTS, &mut SparseCholesky::default())
+        let lower = |start: (&Bundle, f64), candidate: Bundle| self.lower(start, candidate, scale);
+        self.undamped_steps(start, scale, lower, &mut SparseCholesky::default())
     }
 
     /// Undamped steps until one hardly lowers the cost.
     ///
     /// # Arguments
-    /// * `parts`: of each step that are tried, longest first.
+    /// * `lower`: the bundle after a step, and its cost, if that is lower than the one before.
     pub(crate) fn undamped_steps(
         &self,
         start: Bundle,
         scale: f64,
-        parts: &[f64],
+        lower: impl Fn((&Bundle, f64), Bundle) -> Option<(Bundle, f64)>,
         cholesky: &mut SparseCholesky,
     ) -> Bundle {
         let mut bundle = start;
@@ -40,9 +41,9 @@ impl Problem<'_> {
         for _ in 0..MAX_STEPS {
             let Some(step) = self.equations(&bundle, scale, 0.0).solve_with(cholesky, 0.0) else { break };
             let before = cost;
-            for &part in parts {
+            for part in PARTS {
                 let candidate = self.stepped(&bundle, &step, part, scale);
-                if let Some(lowered) = self.lowered((&bundle, before), candidate, scale) {
+                if let Some(lowered) = lower((&bundle, before), candidate) {
                     (bundle, cost) = lowered;
                     break;
                 }

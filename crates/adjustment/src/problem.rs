@@ -105,12 +105,21 @@ impl Problem<'_> {
 
     /// A bundle after a step, and its cost, if that is lower than before.
     ///
-    /// Where it is not, landmarks that the step made worse stay where they were: one that its pixels hardly determine goes astray with any
-    /// part of a step, and would keep everything else from moving.
-    ///
     /// # Arguments
     /// * `before`: cost of the bundle before the step.
-    pub(crate) fn lowered(
+    pub(crate) fn lower(
+        &self,
+        (_, before): (&Bundle, f64),
+        candidate: Bundle,
+        scale: f64,
+    ) -> Option<(Bundle, f64)> {
+        let after = self.cost(&candidate, scale);
+        (after < before).then_some((candidate, after))
+    }
+
+    /// As [`Problem::lower`]; where the cost is not lower, landmarks that the step made worse stay where they were. One that its pixels
+    /// hardly determine goes astray with any part of a step, and would keep everything else from moving.
+    pub(crate) fn lower_with_some_held(
         &self,
         (start, before): (&Bundle, f64),
         mut candidate: Bundle,
@@ -132,8 +141,7 @@ impl Problem<'_> {
                 moved.clone_from(unmoved);
             }
         }
-        let after = self.cost(&candidate, scale);
-        (after < before).then_some((candidate, after))
+        self.lower((start, before), candidate, scale)
     }
 
     /// Steps of one landmark for fixed poses.
