@@ -21,19 +21,18 @@ impl Problem<'_> {
     /// # Arguments
     /// * `scale`: of the robust loss (standard deviations); infinite for least squares.
     pub fn minimize_undamped(&self, start: Bundle, scale: f64) -> Bundle {
-        let lower = |start: (&Bundle, f64), candidate: Bundle| self.lower(start, candidate, scale);
-        self.undamped_steps(start, scale, lower, &mut SparseCholesky::default())
+        self.undamped_steps(start, scale, false, &mut SparseCholesky::default())
     }
 
     /// Undamped steps until one hardly lowers the cost.
     ///
     /// # Arguments
-    /// * `lower`: the bundle after a step, and its cost, if that is lower than the one before.
+    /// * `holds_landmarks`: see [`Problem::lower`].
     pub(crate) fn undamped_steps(
         &self,
         start: Bundle,
         scale: f64,
-        lower: impl Fn((&Bundle, f64), Bundle) -> Option<(Bundle, f64)>,
+        holds_landmarks: bool,
         cholesky: &mut SparseCholesky,
     ) -> Bundle {
         let mut bundle = start;
@@ -43,7 +42,7 @@ impl Problem<'_> {
             let before = cost;
             for part in PARTS {
                 let candidate = self.stepped(&bundle, &step, part, scale);
-                if let Some(lowered) = lower((&bundle, before), candidate) {
+                if let Some(lowered) = self.lower((&bundle, before), candidate, scale, holds_landmarks) {
                     (bundle, cost) = lowered;
                     break;
                 }

@@ -37,8 +37,8 @@ impl Problem<'_> {
             progress(step, MAX_STEPS);
             let before = self.cost(&bundle, scale);
             let candidate = self.step(&bundle, scale, damping, &mut cholesky);
-            let lowered = candidate
-                .and_then(|candidate| self.lower_with_some_held((&bundle, before), candidate, scale));
+            let lowered =
+                candidate.and_then(|candidate| self.lower((&bundle, before), candidate, scale, true));
             let after = lowered.as_ref().map_or(f64::INFINITY, |(_, after)| *after);
             if let Some((candidate, _)) = lowered {
                 bundle = candidate;
@@ -56,8 +56,6 @@ impl Problem<'_> {
         progress(MAX_STEPS, MAX_STEPS);
         // Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which are relative
         // to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
-        let lower =
-            |start: (&Bundle, f64), candidate| self.lower_with_some_held(start, candidate, last_scale);
-        self.undamped_steps(bundle, last_scale, lower, &mut cholesky)
+        self.undamped_steps(bundle, last_scale, true, &mut cholesky)
     }
 }

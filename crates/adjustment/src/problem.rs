@@ -107,27 +107,18 @@ impl Problem<'_> {
     ///
     /// # Arguments
     /// * `before`: cost of the bundle before the step.
+    /// * `holds_landmarks`: where the cost is not lower, landmarks that the step made worse stay where they were. One that its pixels hardly
+    ///   determine goes astray with any part of a step, and would keep everything else from moving.
     pub(crate) fn lower(
-        &self,
-        (_, before): (&Bundle, f64),
-        candidate: Bundle,
-        scale: f64,
-    ) -> Option<(Bundle, f64)> {
-        let after = self.cost(&candidate, scale);
-        (after < before).then_some((candidate, after))
-    }
-
-    /// As [`Problem::lower`]; where the cost is not lower, landmarks that the step made worse stay where they were. One that its pixels
-    /// hardly determine goes astray with any part of a step, and would keep everything else from moving.
-    pub(crate) fn lower_with_some_held(
         &self,
         (start, before): (&Bundle, f64),
         mut candidate: Bundle,
         scale: f64,
+        holds_landmarks: bool,
     ) -> Option<(Bundle, f64)> {
         let after = self.cost(&candidate, scale);
-        if after < before {
-            return Some((candidate, after));
+        if after < before || !holds_landmarks {
+            return (after < before).then_some((candidate, after));
         }
         let poses = candidate.view_poses();
         for (moved, unmoved) in candidate.landmarks.iter_mut().zip(&start.landmarks) {
@@ -141,7 +132,7 @@ impl Problem<'_> {
                 moved.clone_from(unmoved);
             }
         }
-        self.lower((start, before), candidate, scale)
+        self.lower((start, before), candidate, scale, false)
     }
 
     /// Steps of one landmark for fixed poses.
