@@ -21,10 +21,6 @@ const GREYS: [f32; 2] = [25.0, 190.0];
 const SHADING: f32 = 18.0;
 /// Beyond the border of a shape, texels: what is farther is not painted, with half a texel for rounding.
 const MARGIN: f32 = 1.0;
-/// More than the coordinates of texels are rounded by, texels.
-const ROUNDING: f32 = 0.01;
-/// Cosine of a side's normal with the row from which on it is intersected.
-const PARALLEL: f32 = 1e-3;
 /// Most sides of a shape.
 const MAX_SIDES: usize = 6;
 
@@ -96,52 +92,38 @@ impl Leaf {
             texels_between(self.centre[1] - self.radius - 1.0, self.centre[1] + self.radius + 1.0, height)
         {
             let y = row as f32 + 0.5 - self.centre[1];
-            let Some(columns) = self.columns(y, MARGIN, width) else { continue };
-            let row = &mut texels[row * width..][..width];
-            // Texels that are covered wholly need no distances.
-            let covered = self.columns(y, -MARGIN - ROUNDING, width).filter(|covered| !covered.is_empty());
-            let covered = covered.unwrap_or(columns.end..columns.end);
-            for border in [columns.start..covered.start, covered.end..columns.end] {
-                self.distances(y, border.start as f32 + 0.5, border.len(), distances);
-                for (column, distance) in border.zip(&*distances) {
-                    let opacity = (0.5 - *distance).clamp(0.0, 1.0);
-                    if opacity > 0.0 {
-                        self.mix(&mut row[column], opacity, column, y);
-                    }
+            let Some([from, to]) = self.extent(y) else { continue };
+            let columns = texels_between(self.centre[0] + from, self.centre[0] + to, width);
+            let first_x = columns.start as f32 + 0.5;
+            self.distances(y, first_x, columns.len(), distances);
+            let texels = &mut texels[row * width..][columns];
+            for (index, (texel, distance)) in texels.iter_mut().zip(&*distances).enumerate() {
+                let opacity = (0.5 - *distance).clamp(0.0, 1.0);
+                if opacity > 0.0 {
+                    let x = first_x + index as f32 - self.centre[0];
+                    let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
+                    let before = f32::from(*texel);
+                    *texel = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
                 }
             }
-            for column in covered {
-                self.mix(&mut row[column], 1.0, column, y);
-            }
         }
     }
 
-    /// Lays so much of the shape over a texel.
-    #[inline]
-    fn mix(&self, texel: &mut u8, opacity: f32, column: usize, y: f32) {
-        let x = column as f32 + 0.5 - self.centre[0];
-        let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
-        let before = f32::from(*texel);
-        *texel = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
-    }
-
-    /// The texels of the row `y` that the shape covers when it is larger by so many texels on each side.
-    fn columns(&self, y: f32, larger: f32, width: usize) -> Option<Range<usize>> {
-        let reach = self.radius + larger;
-        let half = (reach > y.abs()).then(|| (reach * reach - y * y).sqrt())?;
+    /// Range of `x` in the row `y` that the shape covers, with a texel of margin; `None` where it covers nothing.
+    fn extent(&self, y: f32) -> Option<[f32; 2]> {
+        let reach = self.radius + MARGIN;
+        let half = (reach * reach - y * y).max(0.0).sqrt();
         let [mut from, mut to] = [-half, half];
         for ([nx, ny], distance) in &self.sides {
-            let room = distance + larger - ny * y;
-            // One that is nearly parallel to the row bounds no part of it, or all.
-            if *nx > PARALLEL {
+            let room = distance + MARGIN - ny * y;
+            // One that is nearly parallel to the row bounds no part of it.
+            if *nx > 1e-3 {
                 to = to.min(room / nx);
-            } else if *nx < -PARALLEL {
+            } else if *nx < -1e-3 {
                 from = from.max(room / nx);
-            } else if room < if larger < 0.0 { PARALLEL * reach } else { -PARALLEL * reach } {
-                return None;
             }
         }
-        (from <= to).then(|| texels_between(self.centre[0] + from, self.centre[0] + to, width))
+        (from <= to).then_some([from, to])
     }
 
     /// Distances to the border, texels, negative inside, of the texels of a row beginning with that at `first_x`.

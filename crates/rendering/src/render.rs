@@ -115,16 +115,12 @@ impl View<'_> {
     fn smooth_edges(&mut self, image: &mut Radiance, seen: &[u16], filled: &[Option<u16>]) {
         let (width, height, tiles_a_row) = (self.rays.width(), self.rays.height(), self.rays.tiles_a_row());
         for (at, tile) in self.rays.tiles().iter().enumerate() {
-            let is_inside = |x: usize, y: usize| {
-                filled[at].is_some()
-                    && (tile.columns[0] + 1..tile.columns[1] - 1).contains(&x)
-                    && (tile.rows[0] + 1..tile.rows[1] - 1).contains(&y)
-            };
             let is_like = |other: Option<usize>| {
                 other.and_then(|other| filled.get(other)).is_none_or(|other| *other == filled[at])
             };
             let around =
                 [at.checked_sub(1), Some(at + 1), at.checked_sub(tiles_a_row), Some(at + tiles_a_row)];
+            // Neither it nor what is next to it has an edge.
             if filled[at].is_some() && around.into_iter().all(is_like) {
                 continue;
             }
@@ -132,11 +128,10 @@ impl View<'_> {
                 for x in tile.columns[0]..tile.columns[1] {
                     let pixel = y * width + x;
                     let differs = |other: usize| seen[other] != seen[pixel];
-                    let is_edge = !is_inside(x, y)
-                        && ((x > 0 && differs(pixel - 1))
-                            || (x + 1 < width && differs(pixel + 1))
-                            || (y > 0 && differs(pixel - width))
-                            || (y + 1 < height && differs(pixel + width)));
+                    let is_edge = (x > 0 && differs(pixel - 1))
+                        || (x + 1 < width && differs(pixel + 1))
+                        || (y > 0 && differs(pixel - width))
+                        || (y + 1 < height && differs(pixel + width));
                     if is_edge {
                         image.values[pixel] = self.smoothed_grey(x, y);
                     }
