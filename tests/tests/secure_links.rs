@@ -2,6 +2,7 @@
 
 use client::session::close_session;
 use std::path::Path;
+use std::time::Duration;
 use tests::fleet::{PATIENCE, secured};
 use tests::network::runtime;
 use tools::in_process::free_endpoint;
@@ -48,102 +49,83 @@ async fn linked(folder: &Path, endpoint: &str) -> [zenoh::Session; 2] {
     [listening, connecting]
 }
 
-/// Publishes messages, each of one value, as soon as somebody listens. The end of a publisher would be another message.
-async fn publish(session: &zenoh::Session, key: &'static str, messages: u8) -> Publisher<'static> {
+/// Publishes messages as soon as somebody listens. The end of a publisher would be another message. Waiting for the link takes the thread.
+///
+/// # Arguments
+/// * `alone`: each message is sent by itself.
+fn publish(
+    session: &zenoh::Session,
+    key: &'static str,
+    messages: u64,
+    alone: bool,
+    payload: fn(u64) -> Vec<u8>,
+) -> Publisher<'static> {
     let publisher =
-        session.declare_publisher(key).congestion_control(CongestionControl::Block).await.unwrap();
-    let listeners = publisher.matching_listener().await.unwrap();
-    while !publisher.matching_status().await.unwrap().matching() {
-        listeners.recv_async().await.unwrap();
+        session.declare_publisher(key).congestion_control(CongestionControl::Block).express(alone);
+    let publisher = publisher.wait().unwrap();
+    while !publisher.matching_status().wait().unwrap().matching() {
+        std::thread::sleep(Duration::from_millis(10));
     }
-    for value in 0..messages {
-        publisher.put(vec![value; MESSAGE_BYTES]).await.unwrap();
+    for number in 0..messages {
+        publisher.put(payload(number)).wait().unwrap();
     }
     publisher
 }
 
 /// Waits for these messages, in their order.
 async fn receive(
-    session: &zenoh::Session,
+    session: zenoh::Session,
     key: &'static str,
-    messages: u8,
+    messages: u64,
+    payload: fn(u64) -> Vec<u8>,
 ) -> Subscriber<FifoChannelHandler<Sample>> {
     let subscriber = session.declare_subscriber(key).await.unwrap();
-    for value in 0..messages {
+    for number in 0..messages {
         let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async()).await;
-        let sample = sample.unwrap_or_else(|_| panic!("message {value} does not end")).unwrap();
-        let bytes = sample.payload().to_bytes();
-        assert!(bytes.len() == MESSAGE_BYTES && bytes.iter().all(|&byte| byte == value), "message {value}");
+        let sample = sample.unwrap_or_else(|_| panic!("message {number} does not end")).unwrap();
+        assert!(*sample.payload().to_bytes() == payload(number), "message {number}");
     }
     subscriber
 }
 
-#[test]
-fn both_ends_send_at_once_and_messages_end() {
+/// Both ends of a link send at once.
+fn exchange(messages: u64, alone: bool, payload: fn(u64) -> Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     let endpoint = free_endpoint().unwrap();
     runtime().block_on(async {
         let [listening, connecting] = linked(&folder.path().join("fleet"), &endpoint).await;
-        tokio::join!(
-            publish(&listening, KEYS[0], 50),
-            receive(&connecting, KEYS[0], 50),
-            publish(&connecting, KEYS[1], 50),
-            receive(&listening, KEYS[1], 50),
-        );
+        let sending = [(&listening, KEYS[0]), (&connecting, KEYS[1])].map(|(session, key)| {
+            let session = session.clone();
+            tokio::task::spawn_blocking(move || publish(&session, key, messages, alone, payload))
+        });
+        let receiving = [(&connecting, KEYS[0]), (&listening, KEYS[1])]
+            .map(|(session, key)| tokio::spawn(receive(session.clone(), key, messages, payload)));
+        let mut received = Vec::new();
+        for task in receiving {
+            received.push(task.await.unwrap());
+        }
+        for task in sending {
+            task.await.unwrap();
+        }
+        drop(received);
         close_session(&connecting).await;
         close_session(&listening).await;
     });
+}
+
+#[test]
+fn both_ends_send_at_once_and_messages_end() {
+    exchange(50, false, |number| vec![number as u8; MESSAGE_BYTES]);
 }
 
 /// A TLS connection takes new keys after so many records of one direction: 2^23 with AES-GCM.
 const RECORDS_OF_A_KEY: u64 = 1 << 23;
 
-/// Publishes numbers, each in a record of its own. Waiting for the link takes the thread.
-fn count_up(session: &zenoh::Session, key: &'static str, to: u64) {
-    let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Block).express(true);
-    let publisher = publisher.wait().unwrap();
-    while !publisher.matching_status().wait().unwrap().matching() {
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
-    for number in 0..to {
-        publisher.put(number.to_le_bytes()).wait().unwrap();
-    }
-}
-
-/// Waits for all numbers in their order.
-async fn hear(session: zenoh::Session, key: &'static str, to: u64) -> Subscriber<FifoChannelHandler<Sample>> {
-    let subscriber = session.declare_subscriber(key).await.unwrap();
-    for number in 0..to {
-        let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async()).await;
-        let sample = sample.unwrap_or_else(|_| panic!("number {number} does not come")).unwrap();
-        assert_eq!(sample.payload().to_bytes().as_ref(), number.to_le_bytes());
-    }
-    subscriber
-}
-
 #[test]
 #[ignore = "minutes"]
 fn both_ends_take_new_keys_while_they_send() {
-    let folder = tempfile::tempdir().unwrap();
-    let endpoint = free_endpoint().unwrap();
-    let to = std::env::var("RECORDS").map_or(RECORDS_OF_A_KEY * 9 / 8, |text| text.parse().unwrap());
-    runtime().block_on(async {
-        let [listening, connecting] = linked(&folder.path().join("fleet"), &endpoint).await;
-        let sending = [(&listening, KEYS[0]), (&connecting, KEYS[1])].map(|(session, key)| {
-            let session = session.clone();
-            tokio::task::spawn_blocking(move || count_up(&session, key, to))
-        });
-        let hearing = [(&connecting, KEYS[0]), (&listening, KEYS[1])]
-            .map(|(session, key)| tokio::spawn(hear(session.clone(), key, to)));
-        for task in hearing {
-            task.await.unwrap();
-        }
-        for task in sending {
-            task.await.unwrap();
-        }
-        close_session(&connecting).await;
-        close_session(&listening).await;
-    });
+    let records = std::env::var("RECORDS").map_or(RECORDS_OF_A_KEY * 9 / 8, |text| text.parse().unwrap());
+    exchange(records, true, |number| number.to_le_bytes().into());
 }
 
 /// Zenoh's own crate for these links lets two threads change one TLS connection at once.
