@@ -147,10 +147,11 @@ async fn show_maps(
     let names = arguments.maps.iter().map(|map| map.name.as_str());
     let beside = monitoring_routes(registry_of(server), serving);
     let mut show = Show::start(address, session, server, names, beside).await?;
-    for map in arguments.maps.iter().filter(|map| !map.is_released()) {
-        show.show_images(&map.name, Path::new(&map.place)).await;
-    }
-    for map in arguments.maps.iter().filter(|map| map.is_released()) {
+    for map in &arguments.maps {
+        if !map.is_released() {
+            show.show_images(&map.name, Path::new(&map.place)).await;
+            continue;
+        }
         let ReleasePlace { url, choice } = map.releases();
         let store = open_store(&url, arguments.release_key.as_ref())?;
         show.follow_releases(&map.name, store, choice, Duration::from_secs(arguments.watch_releases));

@@ -1,3 +1,5 @@
+//! What many tests need, made by the first of them.
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
