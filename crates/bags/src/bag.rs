@@ -82,7 +82,7 @@ impl Bag {
                 return Err(BagError::UnknownFormat { path: path.to_path_buf() });
             }
             let files = rosbag2_folder::read(path)?;
-            bag.notes = files.notes;
+            (bag.notes, bag.metadata) = (files.notes, files.metadata);
             for file in &files.paths {
                 match bag.add_file(file) {
                     Err(error) if files.paths.len() > 1 => bag.damage.push(error.to_string()),
@@ -131,7 +131,10 @@ impl Bag {
             let Channel { topic: name, type_name, encoding, schema, .. } = channel;
             self.topics.push(Topic { name, type_name, encoding, schema, messages });
         }
-        self.metadata.extend(opened.metadata);
+        // A file of a rosbag2 repeats what its folder states.
+        self.metadata.extend(
+            opened.metadata.into_iter().filter(|new| !self.metadata.contains(new)).collect::<Vec<_>>(),
+        );
         self.notes.extend(opened.notes);
         self.temporary.extend(opened.temporary);
         let lines = opened.damage.into_lines();
@@ -148,7 +151,7 @@ impl Bag {
         &self.topics
     }
 
-    /// Texts about the recording that are no messages, in the order of the file; other formats than MCAP have none.
+    /// Texts about the recording that are no messages, in the order of the file, of MCAP and rosbag2 (its `custom_data`).
     pub fn metadata(&self) -> &[Metadata] {
         &self.metadata
     }

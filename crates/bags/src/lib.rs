@@ -6,6 +6,7 @@
 //! | `storage` | what a format has to provide |
 //! | `mcap_file`, `sqlite_file`, `rosbag1_file` | the formats |
 //! | `rosbag2_folder` | the files of a rosbag2, by its `metadata.yaml` or without it |
+//! | `rosbag2_metadata` | what a rosbag2 states about itself: its files, texts as `custom_data` |
 //! | `packed_file`, `packed_message` | files and messages that are compressed for themselves |
 //! | `writer`, `mcap_writer`, `sqlite_writer` | [`BagWriter`]: MCAP and rosbag2 of ROS 2 messages |
 //! | `qos` | [`OfferedQos`], what the publisher of a written topic offered |
@@ -40,6 +41,7 @@ mod packed_message;
 mod qos;
 mod rosbag1_file;
 mod rosbag2_folder;
+mod rosbag2_metadata;
 mod sqlite_file;
 mod sqlite_writer;
 mod storage;

@@ -2,7 +2,8 @@
 
 use crate::BagError;
 use crate::packed_file;
-use serde::Deserialize;
+use crate::rosbag2_metadata::{Information, MetadataYaml};
+use crate::storage::Metadata;
 use std::path::{Path, PathBuf};
 
 const METADATA: &str = "metadata.yaml";
@@ -11,24 +12,12 @@ const EXTENSIONS: [&str; 2] = ["db3", "mcap"];
 /// A folder with it is one in the EuRoC layout, whatever else is in it.
 const EUROC: &str = "mav0";
 
-#[derive(Deserialize)]
-struct MetadataYaml {
-    rosbag2_bagfile_information: Information,
-}
-
-#[derive(Deserialize)]
-struct Information {
-    relative_file_paths: Vec<PathBuf>,
-    #[serde(default)]
-    compression_format: String,
-    #[serde(default)]
-    compression_mode: String,
-}
-
 /// The files of a recording, in order of time.
 #[derive(Debug)]
 pub(crate) struct Files {
     pub(crate) paths: Vec<PathBuf>,
+    /// Texts about the recording.
+    pub(crate) metadata: Vec<Metadata>,
     /// Notes about the folder for the user.
     pub(crate) notes: Vec<String>,
 }
@@ -47,8 +36,8 @@ pub(crate) fn read(folder: &Path) -> Result<Files, BagError> {
     let text = files::read_to_string(&path).map_err(|source| BagError::io(&path, source))?;
     let yaml: MetadataYaml = serde_saphyr::from_str(&text)
         .map_err(|error| BagError::invalid(&path, format!("it is not the metadata of a rosbag2: {error}")))?;
-    let Information { relative_file_paths, compression_format, compression_mode } =
-        yaml.rosbag2_bagfile_information;
+    let metadata = yaml.information.metadata();
+    let Information { relative_file_paths, compression_format, compression_mode, .. } = yaml.information;
     if !compression_mode.is_empty()
         && !compression_mode.eq_ignore_ascii_case("none")
         && !["", "zstd"].contains(&compression_format.as_str())
@@ -63,7 +52,7 @@ pub(crate) fn read(folder: &Path) -> Result<Files, BagError> {
             [plain.clone(), packed_file::packed_name(&plain), packed_file::unpacked_name(&plain)];
         candidates.into_iter().find(|path| path.exists()).unwrap_or_else(|| folder.join(file))
     };
-    Ok(Files { paths: relative_file_paths.iter().map(beside).collect(), notes: Vec::new() })
+    Ok(Files { paths: relative_file_paths.iter().map(beside).collect(), metadata, notes: Vec::new() })
 }
 
 /// A recorder that was killed leaves no `metadata.yaml`. The files of one recording are numbered.
@@ -86,7 +75,7 @@ fn without_metadata(folder: &Path) -> Result<Files, BagError> {
         "{}: {METADATA} is missing, as a recorder that was killed leaves it; the files of the folder are read in order of their numbers",
         folder.display()
     );
-    Ok(Files { paths: found, notes: vec![note] })
+    Ok(Files { paths: found, metadata: Vec::new(), notes: vec![note] })
 }
 
 /// The files of a folder that are recordings, each once, in order of their names.

@@ -3,7 +3,10 @@
 use crate::BagError;
 use crate::packed_file::TemporaryFile;
 use crate::packed_message;
-use crate::storage::{Channel, Damage, Encoding, MAX_MESSAGE, OpenFile, Schema, Storage, short_type};
+use crate::rosbag2_metadata::Information;
+use crate::storage::{
+    Channel, Damage, Encoding, MAX_MESSAGE, Metadata, OpenFile, Schema, Storage, short_type,
+};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,6 +14,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 pub(crate) const MAGIC: &[u8] = b"SQLite format 3\0";
+
+/// Longest information about a recording that is read (characters).
+const MAX_INFORMATION: i64 = 1 << 20;
 
 /// How the name of a write-ahead log ends.
 const LOG: &str = "-wal";
@@ -27,9 +33,18 @@ pub(crate) fn open(path: &Path) -> Result<OpenFile, BagError> {
     if let Err(error) = read_messages(&connection, &mut channels, &mut damage) {
         damage.add(format!("the table of messages is damaged: {error}; what follows is left out"));
     }
+    let metadata = read_metadata(&connection);
     let storage = SqliteFile { path: path.to_path_buf(), connection: Mutex::new(connection) };
     let opened = OpenFile::new(channels.into_values().collect(), Box::new(storage), damage);
-    Ok(OpenFile { notes, temporary: copy, ..opened })
+    Ok(OpenFile { metadata, notes, temporary: copy, ..opened })
+}
+
+/// The texts about the recording, which only newer files carry.
+fn read_metadata(connection: &Connection) -> Vec<Metadata> {
+    let query = "SELECT metadata FROM metadata WHERE length(metadata) <= ?1 ORDER BY id DESC";
+    let text = connection.query_row(query, [MAX_INFORMATION], |row| row.get::<_, String>(0));
+    let information = text.ok().and_then(|text| serde_saphyr::from_str::<Information>(&text).ok());
+    information.map(|information| information.metadata()).unwrap_or_default()
 }
 
 struct Opened {
@@ -102,7 +117,7 @@ fn immutable_uri(path: &Path) -> PathBuf {
 
 /// The name of something that takes the place of a table.
 fn not_a_table(connection: &Connection) -> rusqlite::Result<Option<String>> {
-    let query = "SELECT name FROM sqlite_master WHERE lower(name) IN ('topics', 'messages', 'message_definitions') \
+    let query = "SELECT name FROM sqlite_master WHERE lower(name) IN ('topics', 'messages', 'message_definitions', 'metadata') \
                  AND (type IN ('view', 'trigger') OR type = 'table' AND sql LIKE 'CREATE VIRTUAL%')";
     connection.query_row(query, (), |row| row.get(0)).optional()
 }

@@ -2,10 +2,15 @@
 
 use crate::BagError;
 use crate::qos::{self, OfferedQos};
+use crate::rosbag2_metadata::custom_data_yaml;
+use crate::storage::Metadata;
 use crate::writer::{MessageType, WrittenTopic};
 use rusqlite::{Connection, params};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+/// Version of the information about a recording.
+const METADATA_VERSION: u32 = 9;
 
 /// The tables of version 4.
 const TABLES: &str = "PRAGMA journal_mode = WAL;
@@ -27,6 +32,7 @@ pub(crate) struct SqliteWriter {
     file: PathBuf,
     connection: Connection,
     topics: Vec<TopicCount>,
+    metadata: Vec<Metadata>,
     first_ns: Option<i64>,
     last_ns: i64,
 }
@@ -55,6 +61,7 @@ impl SqliteWriter {
             file,
             connection,
             topics: Vec::new(),
+            metadata: Vec::new(),
             first_ns: None,
             last_ns: 0,
         })
@@ -94,6 +101,19 @@ impl SqliteWriter {
         Ok(WrittenTopic(id))
     }
 
+    pub(crate) fn metadata(&mut self, metadata: &Metadata) -> Result<(), BagError> {
+        self.metadata.push(metadata.clone());
+        self.write_metadata_table()
+    }
+
+    /// The file has the information of `metadata.yaml`, too: it may be read alone, or its recorder be killed.
+    fn write_metadata_table(&self) -> Result<(), BagError> {
+        self.execute(
+            "INSERT OR REPLACE INTO metadata(id, metadata_version, metadata) VALUES (1, ?1, ?2)",
+            params![METADATA_VERSION, self.information("")],
+        )
+    }
+
     pub(crate) fn write(&mut self, topic: WrittenTopic, log_ns: i64, bytes: &[u8]) -> Result<(), BagError> {
         self.execute(
             "INSERT INTO messages(topic_id, timestamp, data) VALUES (?1, ?2, ?3)",
@@ -116,33 +136,41 @@ impl SqliteWriter {
     }
 
     pub(crate) fn finish(self) -> Result<(), BagError> {
+        self.write_metadata_table()?;
         self.commit("COMMIT; PRAGMA journal_mode = DELETE")?;
         let path = self.folder.join("metadata.yaml");
-        std::fs::write(&path, self.metadata()).map_err(|source| BagError::io(&path, source))
+        let text = format!("rosbag2_bagfile_information:\n{}", self.information("  "));
+        std::fs::write(&path, text).map_err(|source| BagError::io(&path, source))
     }
 
-    fn metadata(&self) -> String {
+    /// What is stated about the recording, as YAML.
+    ///
+    /// # Arguments
+    /// * `indent`: before each line.
+    fn information(&self, indent: &str) -> String {
         let (begin_ns, messages) =
             (self.first_ns.unwrap_or(0), self.topics.iter().map(|topic| topic.messages).sum::<u64>());
         let duration_ns = self.last_ns.saturating_sub(begin_ns).max(0);
         let file = self.file.file_name().unwrap_or_default().to_string_lossy();
         let mut topics = String::new();
         for TopicCount { name, type_name, hash, qos, messages } in &self.topics {
-            let (key, profiles) = (qos::KEY, qos.yaml("          "));
+            let (key, profiles) = (qos::KEY, qos.yaml("        "));
             let _ = write!(
                 topics,
-                "    - topic_metadata:\n        name: {name}\n        type: {type_name}\n        serialization_format: cdr\n        \
-                 {key}:\n{profiles}        type_description_hash: {hash}\n      message_count: {messages}\n"
+                "  - topic_metadata:\n      name: {name}\n      type: {type_name}\n      serialization_format: cdr\n      \
+                 {key}:\n{profiles}      type_description_hash: {hash}\n    message_count: {messages}\n"
             );
         }
         let topics = if topics.is_empty() { " []\n".to_owned() } else { format!("\n{topics}") };
-        format!(
-            "rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: sqlite3\n  duration:\n    \
-             nanoseconds: {duration_ns}\n  starting_time:\n    nanoseconds_since_epoch: {begin_ns}\n  \
-             message_count: {messages}\n  topics_with_message_count:{topics}  compression_format: \"\"\n  \
-             compression_mode: \"\"\n  relative_file_paths:\n    - {file}\n  files:\n    - path: {file}\n      \
-             starting_time:\n        nanoseconds_since_epoch: {begin_ns}\n      duration:\n        \
-             nanoseconds: {duration_ns}\n      message_count: {messages}\n  custom_data: ~\n  ros_distro: jazzy\n"
-        )
+        let custom_data = custom_data_yaml(&self.metadata);
+        let text = format!(
+            "version: {METADATA_VERSION}\nstorage_identifier: sqlite3\nduration:\n  nanoseconds: {duration_ns}\n\
+             starting_time:\n  nanoseconds_since_epoch: {begin_ns}\nmessage_count: {messages}\n\
+             topics_with_message_count:{topics}compression_format: \"\"\ncompression_mode: \"\"\n\
+             relative_file_paths:\n  - {file}\nfiles:\n  - path: {file}\n    starting_time:\n      \
+             nanoseconds_since_epoch: {begin_ns}\n    duration:\n      nanoseconds: {duration_ns}\n    \
+             message_count: {messages}\ncustom_data:{custom_data}ros_distro: jazzy\n"
+        );
+        text.lines().map(|line| format!("{indent}{line}\n")).collect()
     }
 }

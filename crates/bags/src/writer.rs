@@ -68,14 +68,14 @@ impl BagWriter {
         }
     }
 
-    /// Adds a text about the recording, which is no message. Only MCAP has a place for it: in a rosbag2 it is left out.
+    /// Adds a text about the recording, which is no message: metadata of an MCAP, `custom_data` of a rosbag2.
     ///
     /// # Errors
     /// [`BagError`]: the file cannot be written.
     pub fn metadata(&mut self, metadata: &Metadata) -> Result<(), BagError> {
         match &mut self.0 {
             Inner::Mcap(writer) => writer.metadata(metadata),
-            Inner::Sqlite(_) => Ok(()),
+            Inner::Sqlite(writer) => writer.metadata(metadata),
         }
     }
 

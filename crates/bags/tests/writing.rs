@@ -122,20 +122,49 @@ fn players_are_told_what_to_offer() {
     }
 }
 
+/// With what YAML and JSON have words for.
+fn texts() -> Metadata {
+    let entries =
+        [("imu0/sensor.yaml", "rate_hz: 200\n\n# \"x\": {y}\t\\ \u{fc}\n"), ("maker", "~"), ("", "no")];
+    let entries = entries.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
+    Metadata { name: "calibration".to_owned(), entries }
+}
+
 #[test]
-fn texts_about_a_recording_come_back_also_of_a_file_that_is_cut_off() {
+fn texts_about_a_recording_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in FORMATS {
+        let path = folder.path().join(format!("{format:?}"));
+        let mut writer = BagWriter::create(&path, format).unwrap();
+        writer.metadata(&texts()).unwrap();
+        write(&mut writer, 0..60);
+        writer.flush().unwrap();
+        if format == Format::Rosbag2 {
+            // Its recorder may be killed.
+            let bag = Bag::open(&path).unwrap();
+            assert_eq!((bag.metadata(), bag.notes().len()), (&[texts()][..], 2), "{:?}", bag.notes());
+        }
+        writer.finish().unwrap();
+        assert_eq!(Bag::open(&path).unwrap().metadata(), [texts()], "{format:?}");
+        check(&path, format, 0..60);
+    }
+    // One file of a rosbag2, alone.
+    let file = folder.path().join("Rosbag2/Rosbag2_0.db3");
+    assert_eq!(Bag::open(&file).unwrap().metadata(), [texts()]);
+    // `metadata.yaml` of others: of the files in the folder nothing is known.
+    rusqlite::Connection::open(&file).unwrap().execute("DELETE FROM metadata", ()).unwrap();
+    assert_eq!(Bag::open(&folder.path().join("Rosbag2")).unwrap().metadata(), [texts()]);
+}
+
+#[test]
+fn texts_about_a_recording_are_in_a_file_that_is_cut_off() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
-    let entries = [("imu0", "rate_hz: 200\n"), ("maker", "somebody")];
-    let entries = entries.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
-    let metadata = Metadata { name: "calibration".to_owned(), entries };
     let mut writer = BagWriter::create(&path, Format::Mcap).unwrap();
-    writer.metadata(&metadata).unwrap();
+    writer.metadata(&texts()).unwrap();
     write(&mut writer, 0..60);
     writer.finish().unwrap();
-    assert_eq!(Bag::open(&path).unwrap().metadata(), std::slice::from_ref(&metadata));
-    check(&path, Format::Mcap, 0..60);
     let whole = std::fs::read(&path).unwrap();
     std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
-    assert_eq!(Bag::open(&path).unwrap().metadata(), [metadata]);
+    assert_eq!(Bag::open(&path).unwrap().metadata(), [texts()]);
 }

@@ -146,12 +146,8 @@ fn to_bag(
     sensors.warn_of_unnamed_models();
     let format = if target == Target::Rosbag2 { Format::Rosbag2 } else { Format::Mcap };
     let mut bag = RosBagWriter::create(out, format)?;
-    // Geometry and antenna are in the text of an MCAP, for which SQLite has no place.
-    let has_text = target != Target::Rosbag2;
-    let wheels = calibration.wheels.filter(|_| has_text);
-    let gnss = calibration.gnss.filter(|_| has_text);
-    let stated = SensorCalibration { imu: calibration.imu.clone(), cameras: Vec::new(), wheels, gnss };
-    bag.write_sensors(&sensors, &stated)?;
+    let SensorCalibration { wheels, gnss, .. } = calibration;
+    bag.write_sensors(&sensors, calibration)?;
     let mut source = recording.source()?;
     let mut frames = 0;
     let mut is_mounted = false;
@@ -192,16 +188,10 @@ fn to_bag(
         }
     }
     bag.finish()?;
-    if target == Target::Rosbag2 {
-        // SQLite has no place for the noise of the IMU; what lies in the folder is found.
-        writer::write_calibration(calibration, out)?;
-    }
     let contents = recording.contents();
     let parts = [
         (contents.tracks, "tracks"),
         (contents.features, "features"),
-        (contents.wheels.is_some() && wheels.is_none(), "the wheels"),
-        (contents.gnss && gnss.is_none(), "GNSS"),
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();

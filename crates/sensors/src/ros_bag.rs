@@ -77,7 +77,7 @@ impl RosBagWriter {
 
     /// Writes what no message states of the sensors: the noise of the IMU, wheels and antenna of GNSS, where there are any, the rates of the cameras, and that the
     /// images are stamped on the IMU's clock. A recording of readings and of images with `CameraInfo` and `/tf_static` needs no other
-    /// calibration then. Only MCAP has a place for it.
+    /// calibration then.
     ///
     /// # Arguments
     /// * `calibration`: its cameras are not looked at.

@@ -1,7 +1,12 @@
 //! A recording is the same in every format that it is converted to.
 
+use geometry::Pose;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use sensors::convert::{ConvertError, Target, convert};
-use sensors::{CalibrationFiles, Frame, ImageData, Recording, SensorEvent, SensorSource};
+use sensors::{
+    BaseKind, CalibrationFiles, Frame, GnssReading, GnssSensor, ImageData, Recording, SensorEvent,
+    SensorSource, Sequence, WheelBase, WheelReading, WheelSensor, writer,
+};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> PathBuf {
@@ -65,6 +70,49 @@ fn readings_images_and_calibration_survive_every_way() {
         let out = at(&format!("{bag}_folder"));
         convert(&at(bag), &none, &out, Target::Euroc, |_| {}).unwrap();
         assert_same(&Recording::open(&out).unwrap(), &expected, bag);
+    }
+}
+
+#[test]
+fn wheels_and_gnss_survive_in_bags_of_both_kinds() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let none = CalibrationFiles::default();
+    let (plain, whole) = (at("plain"), at("whole"));
+    convert(&data("euroc"), &none, &plain, Target::Euroc, |_| {}).unwrap();
+    let mut sequence = Sequence::open(&plain).unwrap();
+    let stamps: Vec<i64> = sequence.imu_samples.iter().step_by(4).map(|sample| sample.stamp_ns).collect();
+    let base = WheelBase::new(BaseKind::Differential, 0.1, 0.5);
+    sequence.wheels = Some(WheelSensor {
+        sigma_speed_rad_s: Some(0.03),
+        ..WheelSensor::new(base, Pose::new(UnitQuaternion::identity(), Vector3::new(-0.1, 0.0, -0.2)))
+    });
+    sequence.gnss = Some(GnssSensor { antenna_in_imu: Vector3::new(0.1, 0.2, 0.5), ..GnssSensor::default() });
+    for (index, &stamp_ns) in stamps.iter().enumerate() {
+        let speed = 0.1 * index as f64;
+        sequence.wheel_readings.push(WheelReading::new(stamp_ns, [speed, speed + 0.5]));
+        let (position, covariance) = (Vector3::new(speed, 0.0, 1.0), Matrix3::identity() * 0.25);
+        sequence.gnss_readings.push(GnssReading { stamp_ns, position, covariance });
+    }
+    writer::write(&sequence, &whole).unwrap();
+    for camera in 0..2 {
+        let images = |root: &Path| root.join(format!("mav0/cam{camera}/data"));
+        std::fs::rename(images(&plain), images(&whole)).unwrap();
+    }
+    let expected = Recording::open(&whole).unwrap();
+    assert_eq!(expected.calibration().wheels.map(|wheels| wheels.base), Some(base));
+    for (name, target) in [("a.mcap", Target::Mcap), ("a_rosbag2", Target::Rosbag2)] {
+        let converted = convert(&whole, &none, &at(name), target, |_| {}).unwrap();
+        assert_eq!(converted.left_out, Vec::<&str>::new(), "{name}");
+        let found = Recording::open(&at(name)).unwrap();
+        assert_same(&found, &expected, name);
+        let (found, expected) = (found.calibration(), expected.calibration());
+        assert_eq!(found.gnss, expected.gnss, "{name}");
+        assert_eq!(
+            found.wheels.map(|wheels| wheels.base),
+            expected.wheels.map(|wheels| wheels.base),
+            "{name}"
+        );
     }
 }
 
