@@ -68,7 +68,7 @@ pub(crate) fn surplus(
         surplus.unused.extend(beyond.map(id));
         let mut of_place = BTreeSet::new();
         for appearance in used.iter().take(settings.appearances_a_place) {
-            let chosen = coverage.chosen(appearance, settings.keyframes_a_place, lead);
+            let chosen = coverage.chosen(appearance, settings, lead);
             let let_go = appearance.iter().filter(|keyframe| !chosen.contains(keyframe));
             surplus.replaced.extend(let_go.map(id));
             of_place.extend(chosen);
@@ -105,27 +105,33 @@ impl Coverage<'_> {
         landmarks.map(|&landmark| self.shown.seen_ns[landmark]).max().unwrap_or(i64::MIN)
     }
 
-    /// So many keyframes of an appearance, one after the other the one that adds most to those before it: each landmark counts with the
-    /// probability that it is there, and half of that for each that shows it already.
+    /// The keyframes of an appearance that are kept, one after the other the one that adds most to those before it, until there are enough
+    /// or it adds little of what it shows. Each landmark counts with the probability that it is there, and half of that for each keyframe
+    /// that shows it already.
     ///
     /// # Arguments
     /// * `lead`: factor of what a keyframe adds.
-    fn chosen(&self, appearance: &[usize], most: usize, lead: impl Fn(usize) -> f64) -> BTreeSet<usize> {
+    fn chosen(
+        &self,
+        appearance: &[usize],
+        settings: &Settings,
+        lead: impl Fn(usize) -> f64,
+    ) -> BTreeSet<usize> {
         let mut chosen = BTreeSet::new();
         let mut weights: BTreeMap<usize, f64> = BTreeMap::new();
-        while chosen.len() < most {
-            let added = |keyframe: usize| -> f64 {
-                let landmarks = self.landmarks_of(keyframe).iter();
-                let weight = |landmark: &usize| weights.get(landmark).copied().unwrap_or(1.0);
-                let sum: f64 =
-                    landmarks.map(|landmark| self.shown.existence[*landmark] * weight(landmark)).sum();
-                sum * lead(keyframe)
-            };
+        let shown = |keyframe: usize, weight: &dyn Fn(&usize) -> f64| -> f64 {
+            let landmarks = self.landmarks_of(keyframe).iter();
+            landmarks.map(|landmark| self.shown.existence[*landmark] * weight(landmark)).sum()
+        };
+        while chosen.len() < settings.keyframes_a_place {
+            let weight = |landmark: &usize| weights.get(landmark).copied().unwrap_or(1.0);
             let others = appearance.iter().copied().filter(|keyframe| !chosen.contains(keyframe));
-            let Some((_, best)) = others
-                .map(|keyframe| (added(keyframe), keyframe))
-                .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))
-            else {
+            let worth_it = others.filter_map(|keyframe| {
+                let added = shown(keyframe, &weight);
+                let is_enough = chosen.is_empty() || added >= settings.min_added * shown(keyframe, &|_| 1.0);
+                is_enough.then(|| (added * lead(keyframe), keyframe))
+            });
+            let Some((_, best)) = worth_it.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))) else {
                 break;
             };
             chosen.insert(best);

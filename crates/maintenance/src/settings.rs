@@ -18,6 +18,9 @@ pub struct Settings {
     pub new_existence: f64,
     /// Keyframes of one appearance that a place keeps, at most.
     pub keyframes_a_place: usize,
+    /// A further keyframe of a place and appearance is kept only where it adds at least this part of what it shows: a landmark that is
+    /// shown by one already counts half, by two a quarter.
+    pub min_added: f64,
     /// Appearances, such as day and night, that a place keeps, at most: those that were seen last.
     pub appearances_a_place: usize,
     /// Landmarks that a place keeps, at most: of each of its keyframes those that most others show.
@@ -44,6 +47,7 @@ impl Default for Settings {
             min_existence: 0.05,
             new_existence: 0.8,
             keyframes_a_place: 3,
+            min_added: 0.8,
             appearances_a_place: 4,
             landmarks_a_place: 2000,
             place_m: 1.5,

@@ -4,6 +4,8 @@ use crate::common::{SIZE, Texture};
 use geometry::rotation::exp;
 use geometry::{Camera, Distortion, Pose, Rotation};
 use nalgebra::{Vector2, Vector3};
+use rand::rngs::StdRng;
+use rand::{RngExt as _, SeedableRng as _};
 use std::collections::{BTreeMap, BTreeSet};
 use vision::GrayImage;
 use vision::tracking::{TrackedPixel, Tracker, TrackerError, TrackerFrame, TrackerOptions};
@@ -125,6 +127,69 @@ fn the_error_of_a_track_does_not_grow_with_its_age() {
     let [young, old] = [&mut young, &mut old].map(median);
     // Errors that add up from image to image are three times as large after ten times as many.
     assert!(old < 1.5 * young, "median {old} px after 20 images and more, {young} px after 2 to 4");
+}
+
+/// The grey levels of an image in another light.
+fn in_light(image: &GrayImage, light: impl Fn(usize, usize, f64) -> f64) -> GrayImage {
+    GrayImage::from_fn(image.width(), image.height(), |x, y| {
+        light(x, y, f64::from(image.get(x, y))).round().clamp(0.0, 255.0) as u8
+    })
+}
+
+#[test]
+fn exposure_flicker_glare_and_the_noise_of_dusk_end_few_tracks() {
+    const IMAGES: usize = 6;
+    let texture = Texture::new(12);
+    let photographs: Vec<GrayImage> = (0..IMAGES).map(|k| photograph(&texture, &pose(k))).collect();
+    // The sum of twelve uniform numbers has a variance of one.
+    let mut random = StdRng::seed_from_u64(12);
+    let mut normal = || (0..12).map(|_| random.random::<f64>() - 0.5).sum::<f64>();
+    let noise: Vec<f64> = (0..IMAGES * SIZE[0] * SIZE[1]).map(|_| normal()).collect();
+    let noise = |k: usize, x: usize, y: usize| noise[(k * SIZE[1] + y) * SIZE[0] + x];
+    type Light<'a> = &'a dyn Fn(usize, usize, usize, f64) -> f64;
+    // In which light, how many times as many tracks end as in an even light, and how many times their errors, at most.
+    let lights: [(&str, Light<'_>, f64, f64); 5] = [
+        ("even", &|_, _, _, level| level, 1.0, 1.0),
+        ("flicker of a lamp", &|k, _, _, level| level * [0.5, 1.0, 0.7][k % 3], 1.5, 2.0),
+        ("exposure that is set anew", &|k, _, _, level| level * if k < 3 { 0.35 } else { 1.0 }, 2.5, 2.0),
+        ("a lamp in the image", &|_, x, y, level| level + glare(x, y), 2.0, 2.5),
+        ("dusk", &|k, x, y, level| 0.5 * level + 1.5 * noise(k, x, y), 2.0, 10.0),
+    ];
+    let mut even = None;
+    for (name, light, most_ended, most_error) in lights {
+        let mut tracker = tracker(false, TrackerOptions::default());
+        let mut first_seen: BTreeMap<u64, Vector3<f64>> = BTreeMap::new();
+        let (mut errors, mut points) = (Vec::new(), 0);
+        for (k, image) in photographs.iter().enumerate() {
+            let image = in_light(image, |x, y, level| light(k, x, y, level));
+            let rotation = (k > 0).then(|| turned(k));
+            let stamp_ns = k as i64 * PERIOD_NS;
+            let frame =
+                TrackerFrame { stamp_ns, image, second_image: None, rotation, sigma_rotation_rad: 1e-3 };
+            let tracks = tracker.track(frame).unwrap();
+            points += if k + 1 < IMAGES { tracks.len() } else { 0 };
+            for track in tracks {
+                let point = on_wall(&pose(k), &track.pixel);
+                match first_seen.get(&track.feature_id) {
+                    Some(first) => errors.push((point - first).norm() * SCALE),
+                    None => drop(first_seen.insert(track.feature_id, point)),
+                }
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let (ended, error) = (1.0 - errors.len() as f64 / f64::from(points as u32), errors[errors.len() / 2]);
+        println!("{name}: {points} points, {ended:.3} ended, {error:.3} px");
+        let (even_ended, even_error) = *even.get_or_insert((ended, error));
+        assert!(points > 500, "{name}: {points} points in {IMAGES} images");
+        assert!(ended <= most_ended * even_ended, "{name}: {ended} of the tracks ended, {even_ended} by day");
+        assert!(error <= most_error * even_error, "{name}: {error} px, {even_error} px in an even light");
+    }
+}
+
+/// What a lamp with a halo adds to the grey levels.
+fn glare(x: usize, y: usize) -> f64 {
+    let [x, y] = [(x, 0), (y, 1)].map(|(at, side)| (at as f64 - 0.4 * SIZE[side] as f64) / 90.0);
+    400.0 * (-x * x - y * y).exp()
 }
 
 #[test]

@@ -69,6 +69,9 @@ struct SettingsArgs {
     /// Keyframes of one appearance that a place keeps
     #[arg(long, value_name = "N", default_value_t = Settings::default().keyframes_a_place as u64, value_parser = clap::value_parser!(u64).range(1..))]
     keyframes_per_place: u64,
+    /// Keep another keyframe of a place only where it adds this part of what it shows; what one shows already counts half
+    #[arg(long, value_name = "PART", default_value_t = Settings::default().min_added)]
+    min_added: f64,
     /// Appearances that a place keeps, such as day and night
     #[arg(long, value_name = "N", default_value_t = Settings::default().appearances_a_place as u64, value_parser = clap::value_parser!(u64).range(1..))]
     appearances_per_place: u64,
@@ -106,10 +109,13 @@ impl SettingsArgs {
             probability > 0.0 && probability < 0.5,
             "--min-existence {probability}: give a probability below 0.5, which is that of a landmark of which nothing is known"
         );
+        let part = self.min_added;
+        ensure!((0.0..=1.0).contains(&part), "--min-added {part}: give a part, between 0 and 1");
         let mut settings = Settings::default();
         settings.half_life_days = self.half_life;
         settings.min_existence = probability;
         settings.keyframes_a_place = usize::try_from(self.keyframes_per_place)?;
+        settings.min_added = part;
         settings.appearances_a_place = usize::try_from(self.appearances_per_place)?;
         settings.landmarks_a_place = usize::try_from(self.landmarks_per_place)?;
         settings.place_m = self.place_m;

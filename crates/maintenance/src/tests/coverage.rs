@@ -91,6 +91,7 @@ fn the_number_of_places_is_that_of_what_was_visited_not_that_of_visits() {
 fn a_place_keeps_so_many_keyframes_and_they_show_what_it_showed() {
     let map = place();
     let mut settings = one_place();
+    settings.min_added = 0.0;
     for most in 1..=4 {
         settings.keyframes_a_place = most;
         let surplus_of = |map: &MapContents| surplus(map, &ALL, FIRST_NS, &settings);
@@ -108,6 +109,47 @@ fn a_place_keeps_so_many_keyframes_and_they_show_what_it_showed() {
         // Nor where nobody has come.
         assert_eq!(surplus(&map, &(0..=0), FIRST_NS, &settings), crate::coverage::Surplus::default());
     }
+}
+
+#[test]
+fn a_keyframe_that_adds_little_to_the_others_of_its_place_is_not_kept() {
+    let map = place();
+    let mut settings = one_place();
+    settings.keyframes_a_place = map.keyframes.len();
+    let kept_with = |min_added: f64, map: &MapContents| -> BTreeSet<KeyframeId> {
+        let settings = Settings { min_added, ..settings.clone() };
+        let replaced = surplus(map, &ALL, FIRST_NS, &settings).replaced;
+        map.keyframes.iter().map(|keyframe| keyframe.id).filter(|id| !replaced.contains(id)).collect()
+    };
+    assert_eq!(kept_with(0.0, &map).len(), map.keyframes.len());
+    let mut last = map.keyframes.len();
+    for min_added in [0.3, 0.5, 0.7, 0.9] {
+        let kept = kept_with(min_added, &map);
+        assert!(!kept.is_empty() && kept.len() <= last, "{min_added}: {kept:?}");
+        last = kept.len();
+        // All that stays is needed, and it stays.
+        let mut thinned = map.clone();
+        let others =
+            map.keyframes.iter().map(|keyframe| keyframe.id).filter(|id| !kept.contains(id)).collect();
+        edit::remove_keyframes(&mut thinned, &others);
+        assert_eq!(kept_with(min_added, &thinned), kept, "{min_added}");
+        // What goes adds too little to what stays.
+        let shown = Shown::of(&map, FIRST_NS, &settings);
+        for (at, _) in map.keyframes.iter().enumerate().filter(|(_, keyframe)| !kept.contains(&keyframe.id)) {
+            let landmarks = &shown.index.observed[at];
+            let added: f64 = landmarks
+                .iter()
+                .map(|landmark| {
+                    let observers = &shown.index.observers[*landmark];
+                    let already =
+                        observers.iter().filter(|of| kept.contains(&map.keyframes[**of].id)).count();
+                    0.5_f64.powi(already as i32)
+                })
+                .sum();
+            assert!(added <= min_added * landmarks.len() as f64 + 1e-9, "{min_added}: {at}, {added}");
+        }
+    }
+    assert!(last < map.keyframes.len() / 2, "{last}");
 }
 
 #[test]
@@ -198,7 +240,7 @@ fn an_appearance_that_nobody_sees_goes_and_one_of_a_place_that_nobody_visits_sta
 fn a_place_keeps_so_many_landmarks_and_each_keyframe_its_share() {
     let map = place();
     let mut settings = one_place();
-    settings.keyframes_a_place = 4;
+    (settings.keyframes_a_place, settings.min_added) = (4, 0.0);
     let before = surplus(&map, &ALL, FIRST_NS, &settings);
     assert_eq!(before.landmarks, BTreeSet::new());
     let mut thinned = map.clone();

@@ -10,6 +10,7 @@
 mod corner;
 mod detector;
 mod grid;
+mod noise;
 pub(crate) mod score;
 pub(crate) mod spacing;
 

@@ -22,6 +22,8 @@ use nalgebra::Vector2;
 
 /// Two tracks closer than this fraction of the corner distance show the same point: the younger one ends.
 const MERGE_DISTANCE_RATIO: f32 = 0.5;
+/// Where fewer than this part of the points are found, corners that just stand out of the noise are taken, too.
+const FEW_POINTS: f32 = 0.75;
 /// How often lost points are aligned again, predicted by the motion of a tracked neighbour. On `mh_01_handheld_16s`
 /// this doubles the median track length.
 const RETRIES: usize = 3;
@@ -274,14 +276,21 @@ impl Tracker {
 
     /// Fills grid cells below their quota with new corners.
     fn add_corners(&mut self, pyramid: &Pyramid, tracks: &mut Vec<Track>) {
-        let existing: Vec<Vector2<f32>> = tracks.iter().map(Track::pixel).collect();
-        let mask = self.options.mask_of(0);
-        let corners =
-            detect_corners(pyramid.base(), &existing, mask, self.options.points, &self.options.corners);
+        let mut points: Vec<Vector2<f32>> = tracks.iter().map(Track::pixel).collect();
+        let TrackerOptions { points: wanted, corners: options, .. } = self.options;
+        let (image, mask) = (pyramid.base(), self.options.mask_of(0));
+        let mut corners = detect_corners(image, &points, mask, wanted, &options);
+        points.extend(corners.iter().map(|corner| corner.pixel));
+        if (points.len() as f32) < FEW_POINTS * wanted as f32 {
+            corners.extend(detect_corners(image, &points, mask, wanted, &options.for_little_light(image)));
+        }
         let mut aligner = Aligner::new();
         for corner in corners {
             let Some(ray) = Ray::new(&self.camera, corner.pixel.cast()) else { continue };
             let patch = aligner.first_patch(pyramid, corner.pixel, &self.options.alignment);
+            if patch.is_none() && corner.score < options.min_score {
+                continue;
+            }
             tracks.push(Track { id: self.next_id, ray, patch, inverse_depth: None, unmatched: 0 });
             self.next_id += 1;
             self.report.started += 1;
