@@ -6,8 +6,8 @@ use std::time::Duration;
 use estimator::Localization;
 use map::contents::MapContents;
 use map::store::{load_map, save_map};
-use mapping::run_odometry;
 use mapping::{BuildOptions, ExtendError, ExtensionReport, check_new_recording, extend_map};
+use mapping::{Odometry, run_odometry};
 use onboard::run_robot;
 use protocol::keys;
 use recognition::LoadedMap;
@@ -18,9 +18,15 @@ use tests::robot::arguments;
 use tests::server::{Client, Server};
 use tests::sessions::{build, nees, sessions};
 
-fn extend(map: &MapContents, sequence: &mut Sequence) -> Result<(MapContents, ExtensionReport), ExtendError> {
+type Extended = Result<(MapContents, ExtensionReport), ExtendError>;
+
+fn extend(map: &MapContents, sequence: &mut Sequence) -> Extended {
     let odometry = run_odometry(sequence, 2, |_, _| {}).unwrap();
-    extend_map(map, sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {})
+    extend_by(map, sequence, &odometry)
+}
+
+fn extend_by(map: &MapContents, sequence: &Sequence, odometry: &Odometry) -> Extended {
+    extend_map(map, sequence, odometry, None, &BuildOptions::default(), &mut |_, _, _| {})
 }
 
 /// Builds a map of the first session and extends it by the others; with an even seed the map states common errors, as a large one.
@@ -115,7 +121,8 @@ fn what_stays_keeps_its_id_and_what_does_not_belong_is_refused() {
     let path = folder.path().join("loop.db");
     let saved = save_map(&path, &first, false).unwrap();
     let stored = load_map(&path).unwrap().contents;
-    let (extended, report) = extend(&stored, &mut parts[1]).unwrap();
+    let odometry = run_odometry(&mut parts[1], 2, |_, _| {}).unwrap();
+    let (extended, report) = extend_by(&stored, &parts[1], &odometry).unwrap();
     let again = save_map(&path, &extended, true).unwrap();
     assert_eq!((saved.version, again.version), (1, 2));
     assert_eq!(saved.identity, again.identity);
@@ -139,12 +146,12 @@ fn what_stays_keeps_its_id_and_what_does_not_belong_is_refused() {
     assert_eq!((ledger.len(), ledger[1].keyframes as usize), (2, report.new_keyframes));
     assert_eq!(ledger[1].seen_again as usize, seen_again);
     parts[1].root = "another/name".into();
-    let twice = extend(&extended, &mut parts[1]).unwrap_err();
+    let twice = extend_by(&extended, &parts[1], &odometry).unwrap_err();
     assert!(matches!(&twice, ExtendError::SessionInMap(_)), "{twice}");
     assert!(twice.to_string().contains("\"name\" is the recording of session"), "{twice}");
     let mut without_ledger = extended.clone();
     without_ledger.info.sessions.clear();
-    let twice = extend(&without_ledger, &mut parts[1]).unwrap_err();
+    let twice = extend_by(&without_ledger, &parts[1], &odometry).unwrap_err();
     assert!(matches!(twice, ExtendError::AlreadyInMap { keyframe, .. } if keyframe > last), "{twice}");
     let mut piece = parts[1].clone();
     piece.frames.drain(..piece.frames.len() / 2);
@@ -158,7 +165,7 @@ fn what_stays_keeps_its_id_and_what_does_not_belong_is_refused() {
     assert!(matches!(apart, ExtendError::NotConnected { agreeing: 0..3, .. }), "{apart}");
     let mut leaning = stored;
     leaning.info.gravity_in_global = None;
-    let unknown = extend(&leaning, &mut parts[1]).unwrap_err().to_string();
+    let unknown = extend_by(&leaning, &parts[1], &odometry).unwrap_err().to_string();
     assert!(unknown.contains("--gravity") && unknown.contains("unknown"), "{unknown}");
 }
 
