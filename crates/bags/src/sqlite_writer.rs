@@ -171,6 +171,6 @@ impl SqliteWriter {
              nanoseconds_since_epoch: {begin_ns}\n    duration:\n      nanoseconds: {duration_ns}\n    \
              message_count: {messages}\ncustom_data:{custom_data}ros_distro: jazzy\n"
         );
-        text.lines().map(|line| format!("{indent}{line}\n")).collect()
+        text.split_inclusive('\n').flat_map(|line| [indent, line]).collect()
     }
 }

@@ -39,7 +39,7 @@ pub struct BagWriter(Inner);
 #[derive(Debug)]
 enum Inner {
     Mcap(Box<McapWriter>),
-    Sqlite(SqliteWriter),
+    Sqlite(Box<SqliteWriter>),
 }
 
 impl BagWriter {
@@ -50,7 +50,7 @@ impl BagWriter {
     pub fn create(path: &Path, format: Format) -> Result<Self, BagError> {
         Ok(Self(match format {
             Format::Mcap => Inner::Mcap(Box::new(McapWriter::create(path)?)),
-            Format::Rosbag2 => Inner::Sqlite(SqliteWriter::create(path)?),
+            Format::Rosbag2 => Inner::Sqlite(Box::new(SqliteWriter::create(path)?)),
         }))
     }
 
