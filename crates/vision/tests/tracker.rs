@@ -136,6 +136,9 @@ fn in_light(image: &GrayImage, light: impl Fn(usize, usize, f64) -> f64) -> Gray
     })
 }
 
+/// The grey level of a pixel in another light, by the number of the image, the pixel's column and row, and its level.
+type Light<'a> = &'a dyn Fn(usize, usize, usize, f64) -> f64;
+
 #[test]
 fn exposure_flicker_glare_and_the_noise_of_dusk_end_few_tracks() {
     const IMAGES: usize = 6;
@@ -146,7 +149,6 @@ fn exposure_flicker_glare_and_the_noise_of_dusk_end_few_tracks() {
     let mut normal = || (0..12).map(|_| random.random::<f64>() - 0.5).sum::<f64>();
     let noise: Vec<f64> = (0..IMAGES * SIZE[0] * SIZE[1]).map(|_| normal()).collect();
     let noise = |k: usize, x: usize, y: usize| noise[(k * SIZE[1] + y) * SIZE[0] + x];
-    type Light<'a> = &'a dyn Fn(usize, usize, usize, f64) -> f64;
     // In which light, how many times as many tracks end as in an even light, and how many times their errors, at most.
     let lights: [(&str, Light<'_>, f64, f64); 5] = [
         ("even", &|_, _, _, level| level, 1.0, 1.0),
