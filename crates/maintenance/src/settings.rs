@@ -47,7 +47,7 @@ impl Default for Settings {
             min_existence: 0.05,
             new_existence: 0.8,
             keyframes_a_place: 3,
-            min_added: 0.8,
+            min_added: 0.0,
             appearances_a_place: 4,
             landmarks_a_place: 2000,
             place_m: 1.5,
