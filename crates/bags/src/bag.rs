@@ -131,10 +131,12 @@ impl Bag {
             let Channel { topic: name, type_name, encoding, schema, .. } = channel;
             self.topics.push(Topic { name, type_name, encoding, schema, messages });
         }
-        // A file of a rosbag2 repeats what its folder states.
-        self.metadata.extend(
-            opened.metadata.into_iter().filter(|new| !self.metadata.contains(new)).collect::<Vec<_>>(),
-        );
+        for metadata in opened.metadata {
+            // A file of a rosbag2 repeats what its folder states.
+            if !self.metadata.contains(&metadata) {
+                self.metadata.push(metadata);
+            }
+        }
         self.notes.extend(opened.notes);
         self.temporary.extend(opened.temporary);
         let lines = opened.damage.into_lines();

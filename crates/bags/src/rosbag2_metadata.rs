@@ -21,7 +21,6 @@ pub(crate) struct MetadataYaml {
 /// What is stated about a recording, as far as it is read.
 #[derive(Deserialize)]
 pub(crate) struct Information {
-    #[serde(default)]
     pub(crate) relative_file_paths: Vec<PathBuf>,
     #[serde(default)]
     pub(crate) compression_format: String,

@@ -192,6 +192,8 @@ fn to_bag(
     let parts = [
         (contents.tracks, "tracks"),
         (contents.features, "features"),
+        (contents.wheels.is_some() && wheels.is_none(), "the wheels"),
+        (contents.gnss && gnss.is_none(), "GNSS"),
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();

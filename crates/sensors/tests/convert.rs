@@ -114,6 +114,15 @@ fn wheels_and_gnss_survive_in_bags_of_both_kinds() {
             "{name}"
         );
     }
+    // Of wheels whose geometry nobody states nothing can be read from a bag: that is said.
+    std::fs::remove_file(whole.join("mav0/wheels0/sensor.yaml")).unwrap();
+    for (name, target) in [("b.mcap", Target::Mcap), ("b_rosbag2", Target::Rosbag2)] {
+        assert_eq!(
+            convert(&whole, &none, &at(name), target, |_| {}).unwrap().left_out,
+            ["the wheels"],
+            "{name}"
+        );
+    }
 }
 
 #[test]
