@@ -179,7 +179,7 @@ fn exposure_flicker_glare_and_the_noise_of_dusk_end_few_tracks() {
             }
         }
         errors.sort_by(f64::total_cmp);
-        let (ended, error) = (1.0 - errors.len() as f64 / f64::from(points as u32), errors[errors.len() / 2]);
+        let (ended, error) = (1.0 - errors.len() as f64 / points as f64, errors[errors.len() / 2]);
         println!("{name}: {points} points, {ended:.3} ended, {error:.3} px");
         let (even_ended, even_error) = *even.get_or_insert((ended, error));
         assert!(points > 500, "{name}: {points} points in {IMAGES} images");

@@ -1,7 +1,7 @@
 //! The noise of an image, and the corners that stand out of it where light or contrast are low.
 
 use super::corner::CornerOptions;
-use crate::image::GrayImage;
+use crate::image::{GrayImage, second_differences};
 
 /// Score of white noise of one grey level, about.
 const SCORE_OF_NOISE: f32 = 0.3;
@@ -38,12 +38,8 @@ fn noise(image: &GrayImage) -> f32 {
     let mut columns = vec![0_i16; width];
     let step = (height - 2).div_ceil(ROWS);
     for y in (1..height - 1).step_by(step) {
-        let [above, row, below] = [y - 1, y, y + 1].map(|y| image.row(y));
-        for (second, ((&a, &b), &c)) in columns.iter_mut().zip(above.iter().zip(row).zip(below)) {
-            *second = i16::from(a) - 2 * i16::from(b) + i16::from(c);
-        }
-        for d in columns.windows(3) {
-            counts[usize::from((d[0] - 2 * d[1] + d[2]).unsigned_abs())] += 1;
+        for difference in second_differences([y - 1, y, y + 1].map(|y| image.row(y)), 1, &mut columns) {
+            counts[usize::from(difference.unsigned_abs())] += 1;
         }
     }
     median(&counts) * DEVIATION_OF_MEDIAN

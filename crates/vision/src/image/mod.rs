@@ -5,6 +5,7 @@ mod gray;
 mod marks;
 pub mod pyramid;
 mod raw;
+mod second_differences;
 mod structure;
 
 pub use equalization::{Equalization, LocalEqualization, equalize, equalize_locally};
@@ -12,3 +13,4 @@ pub use gray::{GrayImage, ImageError, MAX_IMAGE_FILE_BYTES, MAX_IMAGE_SIDE, MAX_
 pub(crate) use marks::marked;
 pub use pyramid::Pyramid;
 pub use raw::RawImage;
+pub(crate) use second_differences::second_differences;

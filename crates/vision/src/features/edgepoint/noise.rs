@@ -5,7 +5,7 @@
 //! and 0.07 to 0.3 by night. Fine texture can have as much. But noise is white: its differences are as large from pixel to pixel as over two
 //! pixels (0.5 in JPEG files by night, 0.95 before), those of texture are smaller (0.25 for one of 2 pixels; 0.28 to 0.32 by day).
 
-use crate::image::GrayImage;
+use crate::image::{GrayImage, second_differences};
 use pulp::{Arch, NullaryFnOnce};
 use std::borrow::Cow;
 
@@ -53,18 +53,10 @@ fn whiteness(image: &GrayImage) -> f64 {
     if two > 0 { one as f64 / two as f64 } else { 0.0 }
 }
 
-/// Sum of the magnitudes of the second mixed differences in a row.
-///
-/// # Arguments
-/// * `rows`: above, the row, below.
-/// * `step`: pixels to the left and to the right.
-/// * `columns`: as many numbers as a row has pixels.
+/// Sum of the magnitudes of [`second_differences`].
 #[inline(always)]
-fn magnitudes([above, row, below]: [&[u8]; 3], step: usize, columns: &mut [i16]) -> u64 {
-    for (second, ((&a, &b), &c)) in columns.iter_mut().zip(above.iter().zip(row).zip(below)) {
-        *second = i16::from(a) - 2 * i16::from(b) + i16::from(c);
-    }
-    let differences = columns.windows(2 * step + 1).map(|d| d[0] - 2 * d[step] + d[2 * step]);
+fn magnitudes(rows: [&[u8]; 3], step: usize, columns: &mut [i16]) -> u64 {
+    let differences = second_differences(rows, step, columns);
     u64::from(differences.map(|difference| u32::from(difference.unsigned_abs())).sum::<u32>())
 }
 
