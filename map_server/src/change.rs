@@ -29,8 +29,8 @@ pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> (MapChang
     (notice, change.added.len())
 }
 
-/// Tells robots of a new version. A notice that is too long for one message tells them only the size of the motion of the map as a
-/// whole; one that is still too long, only that there is a new version.
+/// Tells robots of a new version. A notice that is too long for one message tells them only the largest motion of a keyframe, as if all had
+/// moved by so much; one that is still too long, only that there is a new version.
 pub(crate) async fn publish(session: &Session, mut notice: MapChangeNotice) -> Result<(), ServeError> {
     let key = keys::map_changes(&notice.map)?;
     let encoded = |notice: &MapChangeNotice| match protocol::encode(Format::Bincode, notice) {
@@ -39,7 +39,7 @@ pub(crate) async fn publish(session: &Session, mut notice: MapChangeNotice) -> R
     };
     let mut payload = encoded(&notice)?;
     if payload.is_none() {
-        notice.keyframe_motions.clear();
+        notice = without_motions(notice);
         payload = encoded(&notice)?;
     }
     let payload = if let Some(payload) = payload {
@@ -52,6 +52,18 @@ pub(crate) async fn publish(session: &Session, mut notice: MapChangeNotice) -> R
     let publication = session.put(key, payload).encoding(Encoding::from(Format::Bincode.encoding()));
     publication.congestion_control(CongestionControl::Block).await?;
     Ok(())
+}
+
+/// The notice with the largest motion of a keyframe in place of all motions: that of the map as a whole is far smaller than that of a
+/// corner which moved.
+fn without_motions(notice: MapChangeNotice) -> MapChangeNotice {
+    let norm = |vector: &[f32; 3]| vector.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
+    let motions = &notice.keyframe_motions;
+    let stated_change = notice.stated_change.map(|stated| StatedChange {
+        sigma_theta_rad: motions.iter().map(|of| norm(&of.theta_rad)).fold(stated.sigma_theta_rad, f64::max),
+        sigma_p_m: motions.iter().map(|of| norm(&of.translation_m)).fold(stated.sigma_p_m, f64::max),
+    });
+    MapChangeNotice { keyframe_motions: Vec::new(), stated_change, ..notice }
 }
 
 /// The size of a change, for a person.

@@ -34,6 +34,14 @@ fn a_robot_records_a_session_hands_it_in_and_the_map_learns_from_it_once() {
     let bytes_a_minute = session["bytes"].as_f64().unwrap() * 60.0 / session["seconds"].as_f64().unwrap();
     assert!(bytes_a_minute < 1e6, "{bytes_a_minute}");
 
+    // One that is damaged does not keep the others.
+    let file = std::fs::read_dir(scratch.path("recorded")).unwrap().next().unwrap().unwrap().path();
+    std::fs::create_dir(scratch.path("several")).unwrap();
+    std::fs::write(scratch.path("several/a.session"), "not a session").unwrap();
+    std::fs::copy(file, scratch.path("several/b.session")).unwrap();
+    assert!(complaint(&scratch, "hand-in several --inbox other").contains("a.session"));
+    assert_eq!(json_of(&scratch, "list-sessions other").as_array().unwrap().len(), 1);
+
     let handed_in = json_of(&scratch, "hand-in recorded --inbox inbox --robot-keys keys --remove");
     assert_eq!(handed_in.as_array().unwrap().len(), 1);
     assert_eq!(json_of(&scratch, "list-sessions recorded"), serde_json::json!([]));

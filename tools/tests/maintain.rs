@@ -102,6 +102,27 @@ fn sessions_are_taken_once_and_bad_ones_are_named() {
         scratch.command("list-releases city").stdout(Stdio::piped()).output().unwrap().stdout,
     );
     assert!(said.unwrap().contains("candidate"));
+
+    // A night whose store is away: the map and the report are there, and the next night proposes what was not.
+    scratch.copy_map(&scratch.path("whole.db"), "hall.db");
+    std::fs::write(scratch.path("away"), "").unwrap();
+    let fails = |line: &str| {
+        let ended = scratch.command(&format!("maintain --map hall.db {line}")).output().unwrap();
+        assert!(!ended.status.success(), "{line} succeeded");
+        String::from_utf8(ended.stderr).unwrap()
+    };
+    assert!(fails("copy.session --to away/hall --sign no.key").contains("no.key"));
+    assert!(fails("copy.session --comment racks").contains("--to"));
+    assert!(fails("--inbox nowhere").contains("no such folder"));
+    assert_eq!(json_of(&scratch, "map-info --map hall.db"), before);
+    assert!(fails("copy.session --to away/hall --report away.json").contains("not proposed"));
+    let written: Value = serde_json::from_slice(&std::fs::read(scratch.path("away.json")).unwrap()).unwrap();
+    assert_eq!((&written["version"], &written["candidate"]), (&serde_json::json!(2), &Value::Null));
+    std::fs::remove_file(scratch.path("away")).unwrap();
+    for candidate in [serde_json::json!(1), Value::Null] {
+        let next = json_of(&scratch, "maintain --map hall.db copy.session --to away/hall");
+        assert_eq!((&next["version"], &next["candidate"]), (&Value::Null, &candidate), "{next:#}");
+    }
 }
 
 #[test]

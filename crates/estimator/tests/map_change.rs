@@ -1,6 +1,7 @@
 //! A served map changes while a robot uses it: what its news and its answers do to the filter.
 
 use crate::common::{FRAME_NS, World, accepted, assert_finite, says};
+use estimator::map_update::map_revision::ANNOUNCEMENT_NS;
 use estimator::state::local_error;
 use estimator::{
     ChangeSize, CloneId, Estimator, EstimatorConfig, Localization, MapAnswer, MapRevision, Rejection,
@@ -218,6 +219,36 @@ fn without_news_the_place_is_found_anew_after_a_while_and_with_unfit_news_at_onc
     }
 }
 
+/// Several servers of a map change over to a release one after the other.
+#[test]
+fn a_server_that_is_behind_takes_no_robot_back() {
+    let (world, mut estimator, mut frame) = localized();
+    let stays = MapRevision { changed_keyframes: Vec::new(), ..news(1, 2, Some(SIZE)) };
+    assert_eq!(estimator.map_changed(&stays), RevisionEffect::CarriedOver);
+    let now_served = |world: &World, frame: i64| {
+        moved(world.answer(frame, frame, 100 + 2 * frame as u64), 2, &Pose::identity())
+    };
+    for step in 0..100 {
+        let clone = next(&world, &mut estimator, &mut frame);
+        match step % 20 {
+            // The announcement of the server that is behind, once more.
+            0 => assert_eq!(estimator.map_changed(&news(0, 1, Some(SIZE))), RevisionEffect::None),
+            5 => {
+                let report = estimator.map_update(clone, &world.answer(frame, frame, 30)).unwrap();
+                let behind = Rejection::UnannouncedMapVersion { answered: 1, held: 2 };
+                assert_eq!(report.rejection, Some(behind));
+            }
+            10 if step > 50 => {
+                let report = estimator.map_update(clone, &now_served(&world, frame)).unwrap();
+                assert!(accepted(&report) && !report.initialized, "{report:?}");
+            }
+            _ => {}
+        }
+        assert_eq!(estimator.status().localization, Localization::Localized);
+        assert_eq!(estimator.map_version(), Some(2));
+    }
+}
+
 #[test]
 fn news_behind_the_first_answer_of_their_version_still_count() {
     let (world, mut estimator, mut frame) = localized();
@@ -256,7 +287,7 @@ fn answers_of_another_map_are_refused_whatever_their_version() {
     assert_eq!(estimator.map_identity(), Some(1));
     for version in [1, 2] {
         // Beyond the time in which an announcement of a version is waited for.
-        for _ in 0..3 * estimator::map_update::map_revision::ANNOUNCEMENT_NS / FRAME_NS / 2 {
+        for _ in 0..3 * ANNOUNCEMENT_NS / FRAME_NS / 2 {
             let clone = next(&world, &mut estimator, &mut frame);
             let (held, pose) = (estimator.held_keyframes(), says(&estimator));
             let shift = Pose { translation: Vector3::new(5.0, 0.0, 0.0), ..Pose::identity() };
@@ -292,11 +323,12 @@ fn hostile_changes_leave_a_finite_filter_that_the_map_localizes_again() {
             assert_finite(&estimator);
         }
     }
-    // The map itself is still of version 1.
+    // The map itself has another version.
     let end = frame + 40;
     while frame < end {
         let clone = next(&world, &mut estimator, &mut frame);
-        estimator.map_update(clone, &world.answer(frame, frame, frame as u64)).unwrap();
+        let answer = moved(world.answer(frame, frame, frame as u64), version + 1, &Pose::identity());
+        estimator.map_update(clone, &answer).unwrap();
         assert_finite(&estimator);
     }
     let truth = world.global_from_local * World::truth(frame);

@@ -6,6 +6,7 @@
 //! ```
 //! Whatever stops the program, a file is one or the other. A part that is sent again changes nothing.
 
+use std::collections::BTreeSet;
 use std::fs::{File, TryLockError};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -155,12 +156,16 @@ impl Inbox {
         let incomplete = folder.join(format!("{digest}_{}.{INCOMPLETE}", part.total_bytes));
         let of_part = |source| InboxError::Io { path: incomplete.clone(), source };
         let received = incomplete.metadata().map_or(0, |metadata| metadata.len());
+        if received >= part.total_bytes {
+            // All of it came before a server was killed or could not read its disk.
+            return self.finish(robot, part, &incomplete, &complete);
+        }
         if received != part.offset || part.bytes.is_empty() {
-            return Ok(Received { bytes: received.min(part.total_bytes), is_complete: false });
+            return Ok(Received { bytes: received, is_complete: false });
         }
         if received == 0 {
-            std::fs::create_dir_all(&folder).map_err(of_part)?;
             self.make_room(&folder, part.total_bytes, &incomplete)?;
+            std::fs::create_dir_all(&folder).map_err(of_part)?;
         }
         let append = || {
             let mut file = File::options().create(true).append(true).open(&incomplete)?;
@@ -194,6 +199,8 @@ impl Inbox {
         }
         if let Err(error) = self.check(robot, complete, &bytes) {
             std::fs::remove_file(incomplete).map_err(of_part)?;
+            // Whoever hands in nothing but what is refused leaves nothing; a folder with other files stays.
+            let _ = complete.parent().map(std::fs::remove_dir);
             return Err(error);
         }
         let keep = || {
@@ -224,23 +231,25 @@ impl Inbox {
         Ok(verify(&session, bytes, &key)?)
     }
 
-    /// Checks that there is room for a file that is begun.
+    /// Checks that there is room for a file that is begun, and removes the oldest of too many that were begun before.
     fn make_room(&self, folder: &Path, bytes: u64, begun: &Path) -> Result<(), InboxError> {
-        let mut incomplete: Vec<(SystemTime, PathBuf)> = sizes(folder)?
-            .into_iter()
+        let own = if folder.exists() { sizes(folder)? } else { Vec::new() };
+        let mut incomplete: Vec<(SystemTime, PathBuf)> = own
+            .iter()
+            .cloned()
             .filter(|(path, _)| path.extension().is_some_and(|of| of == INCOMPLETE) && path != begun)
             .filter_map(|(path, _)| Some((path.metadata().ok()?.modified().ok()?, path)))
             .collect();
         incomplete.sort();
         let too_many = (incomplete.len() + 1).saturating_sub(MOST_INCOMPLETE);
-        for (_, path) in &incomplete[..too_many] {
-            std::fs::remove_file(path).map_err(|source| InboxError::Io { path: path.clone(), source })?;
-        }
+        let replaced: BTreeSet<&Path> =
+            incomplete[..too_many].iter().map(|(_, path)| path.as_path()).collect();
         let sum = |sizes: Vec<(PathBuf, u64)>| {
-            sizes.iter().filter(|(path, _)| path != begun).map(|(_, size)| size).sum::<u64>() + bytes
+            let stay = sizes.iter().filter(|(path, _)| path != begun && !replaced.contains(path.as_path()));
+            stay.map(|(_, size)| size).sum::<u64>() + bytes
         };
         let InboxSettings { folder: root, bytes_of_robot, bytes_in_all, .. } = &self.settings;
-        let used = sum(sizes(folder)?);
+        let used = sum(own.clone());
         if used > *bytes_of_robot {
             let (most, switch) = (*bytes_of_robot, "--inbox-robot-limit");
             return Err(InboxError::Full { whose: "this robot's", used, most, switch });
@@ -257,6 +266,9 @@ impl Inbox {
         if used > *bytes_in_all {
             let (most, switch) = (*bytes_in_all, "--inbox-limit");
             return Err(InboxError::Full { whose: "all", used, most, switch });
+        }
+        for &path in &replaced {
+            std::fs::remove_file(path).map_err(|source| InboxError::Io { path: path.to_owned(), source })?;
         }
         Ok(())
     }

@@ -101,6 +101,24 @@ proptest! {
     }
 }
 
+/// A server that is killed, or cannot read its disk, between the last part and the name of the session.
+#[test]
+fn a_session_that_had_come_as_a_whole_when_its_server_was_killed_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = session(folder.path(), 2);
+    let mut inbox = Inbox::open(settings(folder.path())).unwrap();
+    let all_but_one = bytes.len() - 1;
+    assert!(!inbox.take("ada", &part(&bytes, 0, all_but_one)).unwrap().is_complete);
+    let begun = files(folder.path().join("inbox").as_path());
+    for content in [bytes.clone(), vec![7; bytes.len()]] {
+        std::fs::write(&begun[0], content).unwrap();
+        hand_in(&mut inbox, "ada", &bytes).unwrap();
+        let taken = files(folder.path().join("inbox").as_path());
+        assert_eq!(std::fs::read(&taken[0]).unwrap(), bytes);
+        std::fs::remove_file(&taken[0]).unwrap();
+    }
+}
+
 #[test]
 fn what_is_no_session_or_of_another_robot_is_refused_and_removed() {
     let folder = tempfile::tempdir().unwrap();
@@ -114,6 +132,9 @@ fn what_is_no_session_or_of_another_robot_is_refused_and_removed() {
         assert!(matches!(hand_in(&mut inbox, name, &bytes), Err(InboxError::Invalid(_))), "{name}");
     }
     assert_eq!(files(folder.path().join("inbox").as_path()), Vec::<PathBuf>::new());
+    // Nor do names stay.
+    let folders = std::fs::read_dir(folder.path().join("inbox")).unwrap();
+    assert_eq!(folders.filter(|entry| entry.as_ref().unwrap().path().is_dir()).count(), 0);
 }
 
 #[test]

@@ -23,13 +23,13 @@ pub(super) fn gravity_of(readings: &[ImuSample], references: &[ReferencePose]) -
     poses.sort_by_key(|known| known.stamp_ns);
     poses.dedup_by_key(|known| known.stamp_ns);
     let (mut change, mut seconds) = (Vector3::zeros(), 0.0);
-    for stretch in poses.chunk_by(|a, b| b.stamp_ns - a.stamp_ns <= MAX_GAP_NS) {
+    let is_covered = |a: &ReferencePose, b: &ReferencePose| {
+        b.stamp_ns - a.stamp_ns <= MAX_GAP_NS && force(readings, a, b).is_some()
+    };
+    for stretch in poses.chunk_by(|a, b| is_covered(a, b)) {
         let [first, second, .., before, last] = stretch else { continue };
-        let Some(forces) =
-            stretch.windows(2).map(|pair| force(readings, pair[0], pair[1])).sum::<Option<Vector3<f64>>>()
-        else {
-            continue;
-        };
+        let forces: Vector3<f64> =
+            stretch.windows(2).filter_map(|pair| force(readings, pair[0], pair[1])).sum();
         change += velocity(before, last) - velocity(first, second) - forces;
         seconds += (last.stamp_ns + before.stamp_ns - first.stamp_ns - second.stamp_ns) as f64 * 0.5e-9;
     }
@@ -91,6 +91,19 @@ mod tests {
             let found = gravity_of(&readings, &poses).unwrap();
             assert!(found.angle(&expected) < 0.01, "{found} for {down}");
         }
+    }
+
+    #[test]
+    fn poses_from_before_the_readings_began_take_nothing_away() {
+        let (readings, poses) = ride(-Vector3::z(), 30);
+        // Readings of the middle only, with a hole.
+        let some: Vec<ImuSample> = readings[1000..4800]
+            .iter()
+            .copied()
+            .filter(|at| at.stamp_ns % 17_000_000_000 > 1_000_000_000)
+            .collect();
+        let found = gravity_of(&some, &poses).unwrap();
+        assert!(found.angle(&-Vector3::z()) < 0.01, "{found}");
     }
 
     #[test]

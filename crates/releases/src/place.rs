@@ -3,6 +3,7 @@
 use crate::candidates::{newest_open, newest_with_candidates};
 use crate::error::ReleaseError;
 use crate::release::Release;
+use crate::stage::Stage;
 use crate::store::ReleaseStore;
 use std::fmt;
 use std::path::Path;
@@ -87,6 +88,17 @@ impl ReleaseChoice {
             Self::Newest => store.newest().await,
             Self::NewestCandidate => newest_with_candidates(store).await,
             Self::Number(_) | Self::Candidate(_) => self.of(store).await.map(Some),
+        }
+    }
+
+    /// Whether a server that follows this choice may have served a release.
+    pub(crate) fn is_of(self, release: &Release) -> bool {
+        let is_live = release.stage == Stage::Live;
+        match self {
+            Self::Newest => is_live,
+            Self::Number(number) => is_live && release.number == number,
+            Self::NewestCandidate => true,
+            Self::Candidate(number) => !is_live && release.candidate == Some(number),
         }
     }
 }

@@ -41,17 +41,20 @@ impl ReleaseSource {
         self.choice.followed(&self.store).await
     }
 
-    /// The release that is to be served, or where none can be read the one that was served last.
+    /// The release that is to be served, or where none can be read the one that was served last, if that is of the same choice.
     ///
     /// # Errors
-    /// [`ReleaseError::Empty`], and as [`ReleaseStore::release`]: nothing is cached either.
+    /// [`ReleaseError::NoRelease`] and [`ReleaseError::NoCandidate`] where the store has not what was chosen; [`ReleaseError::Empty`], and
+    /// as [`ReleaseStore::release`], where nothing is cached either.
     pub async fn newest_or_cached(&self) -> Result<Release, ReleaseError> {
         let error = match self.newest().await {
             Ok(Some(release)) => return Ok(release),
             Ok(None) => ReleaseError::Empty { place: self.store.place().to_owned() },
             Err(error) => error,
         };
-        let Some(release) = self.cache.release() else { return Err(error) };
+        let is_readable = matches!(error, ReleaseError::NoRelease { .. } | ReleaseError::NoCandidate { .. });
+        let cached = self.cache.release().filter(|release| !is_readable && self.choice.is_of(release));
+        let Some(release) = cached else { return Err(error) };
         let reason = with_causes(&error);
         tracing::warn!(
             release = release.number,

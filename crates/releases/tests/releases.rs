@@ -3,8 +3,9 @@
 use map::MapContents;
 use map::edit::{keyframes_where, remove_keyframes};
 use releases::{
-    CleanOptions, Note, Outcome, PublishOptions, Published, Release, ReleaseCache, ReleaseError,
-    ReleaseStore, ReleasedCell, SegmentName, clean, fetch, fetch_cell, publish, roll_back,
+    CleanOptions, Note, Outcome, PublishOptions, Published, Release, ReleaseCache, ReleaseChoice,
+    ReleaseError, ReleaseSource, ReleaseStore, ReleasedCell, SegmentName, clean, fetch, fetch_cell, publish,
+    roll_back,
 };
 #[cfg(feature = "signing")]
 use releases::{ReleaseKey, SigningKey};
@@ -425,4 +426,30 @@ fn a_pipe_in_the_cache_is_no_release() {
     assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     // Opened, it would block until somebody writes.
     assert!(cache.release().is_none());
+}
+
+/// A server that was told to serve one release serves no other one that it happens to have.
+#[tokio::test]
+async fn a_cached_release_is_served_where_it_is_the_one_that_was_chosen() {
+    let scratch = Scratch::new();
+    let release = published(&scratch.store, &place(1)).await.release;
+    let cache = scratch.folder.path().join("cache");
+    let source = ReleaseSource::open(scratch.store.clone(), &cache).unwrap();
+    source.keep(&release);
+    let missing = source.clone().following(ReleaseChoice::Number(9)).newest_or_cached().await;
+    assert!(matches!(missing, Err(ReleaseError::NoRelease { .. })), "{missing:?}");
+    // The store is away: its folder is a file now.
+    let city = scratch.folder.path().join("city");
+    std::fs::rename(&city, scratch.folder.path().join("away")).unwrap();
+    std::fs::write(&city, "").unwrap();
+    for (choice, is_served) in [
+        (ReleaseChoice::Newest, true),
+        (ReleaseChoice::Number(1), true),
+        (ReleaseChoice::NewestCandidate, true),
+        (ReleaseChoice::Number(2), false),
+        (ReleaseChoice::Candidate(1), false),
+    ] {
+        let served = source.clone().following(choice).newest_or_cached().await;
+        assert_eq!(served.is_ok(), is_served, "{choice}: {served:?}");
+    }
 }

@@ -37,7 +37,7 @@ pub enum InitialPoseError {
         /// The frame of the map.
         wanted: String,
     },
-    /// A number is infinite or none.
+    /// A number is not finite.
     #[error("its position or orientation is not finite")]
     NotFinite,
     /// The position cannot be in a map.
@@ -49,7 +49,7 @@ pub enum InitialPoseError {
         /// Length of the quaternion.
         norm: f64,
     },
-    /// The covariance is none.
+    /// The covariance is not valid.
     #[error("its covariance {0}")]
     Covariance(#[from] CovarianceError),
     /// Position in the plane or heading is stated to be exact.

@@ -1,4 +1,4 @@
-//! Units of an IMU recognized from its readings: accelerometers in g, gravity removed, gyroscopes in deg/s.
+//! Units of an IMU recognized from its readings: accelerometers in g or of another scale, gravity removed, gyroscopes in deg/s.
 //!
 //! Over half a second the specific force of a robot is gravity and little else, whatever the orientation, so its mean length
 //! tells the unit. Between two such means a body-fixed direction moves by `du = -w x u dt`: where the gyroscope claims
@@ -25,6 +25,8 @@ const MIN_PERIODS: usize = 4;
 const G_UNITS: std::ops::Range<f64> = 0.085..0.12;
 /// A mean specific force below this part of gravity has no gravity in it.
 const NO_GRAVITY: f64 = 0.06;
+/// A steady specific force of more than so many times gravity is none of a robot.
+const TOO_LARGE: f64 = 1.7;
 /// A gyroscope that reads this part of gravity, turning one way, beside an accelerometer that reads less than that one, is one.
 const LIKE_GRAVITY: std::ops::Range<f64> = 0.85..1.15;
 const NOT_GRAVITY: f64 = 0.5;
@@ -56,6 +58,17 @@ pub enum ImuUnitError {
     )]
     WithoutGravity {
         /// Mean specific force, m/s^2.
+        mean: f64,
+        /// Gravity that was expected, m/s^2.
+        gravity: f64,
+    },
+    /// The accelerometer reads several times gravity.
+    #[error(
+        "the accelerometer reads {mean:.2} on average where gravity is {gravity:.2} m/s^2: its unit or its scale is another one \
+         (32 would be ft/s^2, 1000 thousandths of g, 9807 mm/s^2, 96 m/s^2 that are taken for g); write m/s^2"
+    )]
+    TooLarge {
+        /// Mean specific force, as read.
         mean: f64,
         /// Gravity that was expected, m/s^2.
         gravity: f64,
@@ -178,11 +191,15 @@ impl ImuCheck {
         let gravity = self.gravity;
         let mean = median(self.periods.iter().map(|period| period.specific_force.norm()));
         let turn = median(self.periods.iter().map(|period| period.rate.norm()));
-        if LIKE_GRAVITY.contains(&(turn / gravity)) && mean < NOT_GRAVITY * gravity {
+        let is_in_g = G_UNITS.contains(&(mean / gravity)) && self.is_steady();
+        if LIKE_GRAVITY.contains(&(turn / gravity)) && mean < NOT_GRAVITY * gravity && !is_in_g {
             return Err(ImuUnitError::Exchanged { rate: turn, mean });
         }
-        if G_UNITS.contains(&(mean / gravity)) && self.is_steady() {
+        if is_in_g {
             return Err(ImuUnitError::AccelerationInG { mean, gravity });
+        }
+        if mean > TOO_LARGE * gravity && self.is_steady() {
+            return Err(ImuUnitError::TooLarge { mean, gravity });
         }
         if mean < NO_GRAVITY * gravity {
             return Err(ImuUnitError::WithoutGravity { mean, gravity });
@@ -293,6 +310,28 @@ mod tests {
         for amplitude in [0.3, 1.0] {
             let degrees = check(&scaled(&swinging(amplitude), 1_f64.to_degrees(), 1.0));
             assert!(matches!(degrees, Err(ImuUnitError::RatesInDegrees { .. })), "{degrees:?}");
+        }
+    }
+
+    #[test]
+    fn both_sensors_in_other_units_are_not_taken_for_each_other() {
+        // Ten deg/s: as much as gravity has in m/s^2.
+        let mut samples = swinging(0.1);
+        samples.iter_mut().for_each(|sample| sample.gyroscope.z += 0.17);
+        let both = check(&scaled(&samples, 1_f64.to_degrees(), 1.0 / STANDARD_GRAVITY));
+        assert!(matches!(both, Err(ImuUnitError::AccelerationInG { .. })), "{both:?}");
+    }
+
+    #[test]
+    fn an_accelerometer_of_another_scale_is_named() {
+        for amplitude in [0.0, 0.3, 1.0] {
+            for factor in [2.0, 1.0 / 0.3048, 9.806_65, 1000.0 / 9.806_65, 1000.0] {
+                let found = check(&scaled(&swinging(amplitude), 1.0, factor));
+                assert!(
+                    matches!(found, Err(ImuUnitError::TooLarge { .. })),
+                    "{amplitude}, {factor}: {found:?}"
+                );
+            }
         }
     }
 

@@ -31,6 +31,13 @@ impl Summary {
     /// # Errors
     /// [`EndedLost`] where it did not know it.
     pub fn check_end(&self) -> Result<(), EndedLost> {
+        if self.frames == 0 && self.skipped_frames > 0 {
+            let skipped = self.skipped_frames;
+            let reason = format!(
+                "none of {skipped} images could be used; do cameras and IMU have the same clock, and readings at the same time?"
+            );
+            return Err(EndedLost { state: "without a pose", reason });
+        }
         check_status(self.final_status.as_ref())
     }
 }

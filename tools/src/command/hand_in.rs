@@ -60,20 +60,22 @@ struct HandedIn {
 /// Runs the command.
 ///
 /// # Errors
-/// A file that is no session, no server that takes sessions of the map, a session that is refused, with the reason. What was handed in
-/// before that stays so.
+/// A file that is no session, no server that takes sessions of the map, a session that is refused, each with the reason; the other
+/// files are handed in.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     ensure!(
         args.rate.is_finite() && args.rate >= 4.0,
         "--rate {}: give four kilobits a second or more",
         args.rate
     );
-    let mut done = Vec::new();
+    let (mut done, mut failed) = (Vec::new(), Vec::new());
     let paths = session_files::find(&args.paths)?;
-    let handed_in = paths.iter().try_for_each(|path| {
-        done.push(hand_in_file(args, path)?);
-        anyhow::Ok(())
-    });
+    for path in &paths {
+        match hand_in_file(args, path) {
+            Ok(handed_in) => done.push(handed_in),
+            Err(error) => failed.push(error),
+        }
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&done)?);
     } else {
@@ -82,7 +84,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             println!("{} of {robot}: {:.2} MB handed in{removed}", file.display(), *bytes as f64 * 1e-6);
         }
     }
-    handed_in
+    match failed.len() {
+        0 => Ok(()),
+        1 => Err(failed.remove(0)),
+        count => {
+            let reasons: Vec<String> = failed.iter().map(|error| format!("{error:#}")).collect();
+            bail!("{count} of {} files were not handed in:\n  {}", paths.len(), reasons.join("\n  "))
+        }
+    }
 }
 
 fn hand_in_file(args: &Args, path: &Path) -> anyhow::Result<HandedIn> {

@@ -9,6 +9,8 @@ use map::store::{MapTarget, load_map};
 use mapping::Stage;
 
 #[cfg(feature = "releases")]
+use map::sessions::SessionId;
+#[cfg(feature = "releases")]
 use releases::Outcome;
 
 use super::build_report::print_partial_kinds;
@@ -30,7 +32,9 @@ use crate::stage_bar::StageBar;
     and of landmarks.\n\n\
     All of it becomes one new version of DB, in one step. A run that finds nothing new writes no version. A session that is refused is\n\
     looked at again when the map or the settings have changed: the map may have grown to its place (DB.refused.json remembers them).\n\
-    Remove its file to be rid of it.")]
+    To discard it, delete its .session file.\n\n\
+    With --to, sessions of the map that neither the newest release nor a candidate has are proposed even where nothing new came in:\n\
+    a night whose store was away is made up for.")]
 pub struct Args {
     /// Session files, or folders of them
     #[arg(value_name = "FILE|DIR", required_unless_present = "inbox")]
@@ -141,9 +145,27 @@ struct PublishingArgs {
 
 #[cfg(feature = "releases")]
 impl PublishingArgs {
-    /// Publishes the version that was written as a candidate, where one was and it is wanted.
-    fn propose(&self, map: &Path, report: &mut JobReport) -> Result<Option<Outcome>> {
-        let Some(to) = self.to.as_ref().filter(|_| report.version.is_some()) else { return Ok(None) };
+    /// # Errors
+    /// A key or a note that cannot be used, before hours of work; or one without a place to publish at.
+    fn check(&self) -> Result<()> {
+        ensure!(
+            self.to.is_some() || !(self.signing.is_given() || self.note.is_given()),
+            "--author, --comment and --sign are of a candidate: say with --to where it is published"
+        );
+        self.note.read()?;
+        self.signing.check()?;
+        Ok(())
+    }
+
+    /// Publishes the map as a candidate, where that is wanted and it has sessions that were never proposed.
+    ///
+    /// # Arguments
+    /// * `sessions`: those of the map.
+    fn propose(&self, map: &Path, sessions: &[SessionId], report: &mut JobReport) -> Result<Option<Outcome>> {
+        let Some(to) = &self.to else { return Ok(None) };
+        if report.version.is_none() && !super::publish_map::lacks_sessions(to, sessions)? {
+            return Ok(None);
+        }
         let outcome = super::publish_map::propose(map, to, &self.note, &self.signing)?;
         report.candidate = match &outcome {
             Outcome::Published(published) => Some(published.release.number),
@@ -159,6 +181,11 @@ impl PublishingArgs {
 /// A map or a path that cannot be read, a map that cannot be written or was changed meanwhile. A session that is refused is none.
 pub fn run(args: &Args) -> Result<()> {
     let settings = args.settings.read()?;
+    if let Some(inbox) = &args.inbox {
+        ensure!(inbox.is_dir(), "--inbox {}: there is no such folder", inbox.display());
+    }
+    #[cfg(feature = "releases")]
+    args.publishing.check()?;
     let target = MapTarget::new(&args.map, true)?;
     let stored = load_map(&args.map)?.contents;
     let mut lines = Lines { is_quiet: args.json, work: None };
@@ -173,7 +200,10 @@ pub fn run(args: &Args) -> Result<()> {
         refused.write(&args.map)?;
     }
     #[cfg(feature = "releases")]
-    let candidate = args.publishing.propose(&args.map, &mut report)?;
+    let candidate = {
+        let sessions: Vec<SessionId> = contents.info.sessions.iter().map(|session| session.id).collect();
+        args.publishing.propose(&args.map, &sessions, &mut report)
+    };
     let text = serde_json::to_string_pretty(&report)?;
     if let Some(file) = &args.report {
         files::write_whole(file, text.as_bytes())
@@ -188,7 +218,10 @@ pub fn run(args: &Args) -> Result<()> {
         }
     }
     #[cfg(feature = "releases")]
-    if let Some(candidate) = candidate.filter(|_| !args.json) {
+    if let Some(candidate) = candidate
+        .context("the map is not proposed as a candidate; the next run with --to makes up for it")?
+        .filter(|_| !args.json)
+    {
         super::publish_map::print_outcome(&candidate, false)?;
     }
     Ok(())

@@ -2,12 +2,14 @@
 
 use super::releases::in_store;
 use indicatif::{ProgressBar, ProgressStyle};
+use map::sessions::SessionId;
 use map::store::load_map;
 use releases::{
-    Note, Outcome, PublishOptions, Published, ReleaseError, ReleaseKey, ReleaseStore, SigningKey, Stage,
-    publish,
+    Note, Outcome, PublishOptions, Published, Release, ReleaseError, ReleaseKey, ReleaseStore, SigningKey,
+    Stage, publish,
 };
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Arguments.
@@ -66,6 +68,10 @@ pub struct NoteArgs {
 }
 
 impl NoteArgs {
+    pub(super) fn is_given(&self) -> bool {
+        self.author.is_some() || self.comment.is_some()
+    }
+
     /// # Errors
     /// A text that cannot be stored.
     pub(super) fn read(&self) -> Result<Note, ReleaseError> {
@@ -83,11 +89,28 @@ pub struct SigningArgs {
 }
 
 impl SigningArgs {
+    pub(super) fn is_given(&self) -> bool {
+        self.sign.is_some()
+    }
+
+    /// # Errors
+    /// A key that cannot be read.
+    pub(super) fn check(&self) -> Result<(), ReleaseError> {
+        self.key().map(drop)
+    }
+
+    fn key(&self) -> Result<Option<SigningKey>, ReleaseError> {
+        let Some(file) = &self.sign else { return Ok(None) };
+        let password = std::env::var("DRIFTLESS_KEY_PASSWORD").ok();
+        Ok(Some(SigningKey::read(file, password)?))
+    }
+
     /// The store, to which releases are put with a signature if a key was given.
     pub(super) fn apply(&self, store: ReleaseStore) -> Result<ReleaseStore, ReleaseError> {
-        let Some(file) = &self.sign else { return Ok(store) };
-        let password = std::env::var("DRIFTLESS_KEY_PASSWORD").ok();
-        Ok(store.signing_with(SigningKey::read(file, password)?))
+        Ok(match self.key()? {
+            Some(key) => store.signing_with(key),
+            None => store,
+        })
     }
 }
 
@@ -135,6 +158,22 @@ pub(super) fn propose(
         note: note.clone(),
         signing: signing.clone(),
         json: true,
+    })
+}
+
+/// Whether a map has sessions that neither the newest release nor any candidate has.
+///
+/// # Errors
+/// A store that cannot be read.
+pub(super) fn lacks_sessions(to: &str, sessions: &[SessionId]) -> anyhow::Result<bool> {
+    in_store(to, async |store| {
+        let mut proposed: BTreeSet<SessionId> = BTreeSet::new();
+        let sessions_of = |release: Release| release.map.sessions.into_iter().map(|session| session.id);
+        proposed.extend(store.newest().await?.into_iter().flat_map(sessions_of));
+        for number in store.candidate_numbers().await? {
+            proposed.extend(sessions_of(store.candidate(number).await?));
+        }
+        Ok(sessions.iter().any(|session| !proposed.contains(session)))
     })
 }
 

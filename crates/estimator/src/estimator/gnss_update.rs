@@ -103,6 +103,12 @@ impl Estimator {
         };
         self.remove_transform();
         self.insert_transform(&found.transform);
+        // What the map said was about another transform.
+        self.support.clear();
+        self.against.clear();
+        self.map_fixes.clear();
+        self.contradiction = None;
+        self.rejections_in_a_row = 0;
         // Along the way, not from one view: what its covariance says is to be believed.
         self.known_in_map = true;
         self.lost_after = None;

@@ -51,6 +51,9 @@ impl Estimator {
         let Some(held) = self.map_version.in_use().filter(|held| *held != revision.version) else {
             return RevisionEffect::None;
         };
+        if self.map_version.is_past(revision.from_version, revision.version) {
+            return RevisionEffect::None;
+        }
         let is_linear = |size: &ChangeSize| {
             // A rotation beyond the prior of `global_from_local` makes the present estimate useless.
             (0.0..=self.config.sigma_transform_rotation_rad).contains(&size.sigma_rotation_rad)
@@ -149,6 +152,7 @@ impl Estimator {
             self.state.clone_index(clone).map_or(i64::MIN, |index| self.state.clones[index].stamp_ns);
         if let Some(held) = self.map_version.in_use() {
             if answered == held {
+                self.map_version.note_answer();
                 return self.verify_and_update(clone, answer, report);
             }
             if query_ns <= self.map_version.since_ns() {

@@ -176,7 +176,9 @@ impl Estimator {
             restricted.keyframes.truncate(1);
         }
         restricted.remove_dangling_references();
-        restricted.gravity_in_global = self.map_gravity.believed(answer.gravity_in_global);
+        if self.map_version.identity().is_none_or(|held| held == answer.map_identity) {
+            restricted.gravity_in_global = self.map_gravity.believed(answer.gravity_in_global);
+        }
         restricted
     }
 

@@ -9,7 +9,7 @@
 use super::Estimator;
 use crate::error::EstimatorError;
 use crate::initialization::static_init::{InitialState, gravity_aligned, yaw_between};
-use crate::map_update::first_fix::REQUIRED_ODDS;
+use crate::map_update::first_fix::{FixedPose, REQUIRED_ODDS};
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix, worst_sigmas};
 use crate::map_update::map_report::{MapReport, Rejection};
@@ -161,7 +161,9 @@ impl Estimator {
         answer: &MapAnswer,
         report: &mut MapReport,
     ) -> Result<(), EstimatorError> {
-        let Some(fix) = self.newest_fix.take() else { return Ok(()) };
+        let (Some(fix), Some(index)) = (self.newest_fix.take(), self.state.clone_index(clone)) else {
+            return Ok(());
+        };
         if !self.map_fixes.is_evidence(&fix) || self.map_fixes.add(fix) < REPLACED_AFTER {
             return Ok(());
         }
@@ -175,16 +177,23 @@ impl Estimator {
         if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
             self.remove_transform();
             self.contradiction = None;
-            let evidence = self.map_fixes.evidence();
-            self.first_fix.won_by(evidence.clone());
-            self.support = evidence;
+            let newest = FixedPose {
+                global_from_imu: fix.global_from_imu,
+                local_from_imu: self.state.clones[index].local_from_imu,
+                sigma_rotation: fix.sigma_rotation,
+                sigma_position: fix.sigma_position,
+            };
+            self.first_fix.won_by(answer.map_version, newest, self.map_fixes.evidence());
+            self.lost_after = Some(self.map_fixes.len());
+            (self.last_map_update_ns, self.last_gnss_update_ns) = (None, None);
+            self.support.clear();
             self.against.clear();
             self.map_fixes.clear();
             report.rejection = self.update_in_version(clone, answer, report)?.err();
             if report.rejection.is_none() {
                 self.note_success();
+                self.first_fix.clear();
             }
-            self.first_fix.clear();
             return Ok(());
         }
         let Some(gravity) = gravity else { return Ok(()) };
@@ -222,12 +231,23 @@ impl Estimator {
         }
     }
 
-    /// Continues as a new filter from another state, at the pose in G of a motion; noise, calibration and readings are kept.
+    /// Continues as a new filter from another state, at the pose in G of a motion; noise, calibration, readings, and the version of the
+    /// map are kept.
     fn restart(&mut self, initial: &InitialState, motion: &FixedMotion) -> Result<(), EstimatorError> {
         let mut fresh = Self::new(self.config.clone(), self.state.calibration.cameras.clone(), initial)?;
+        // The settings state readout times for the start.
+        fresh.state.calibration.cameras = self.state.calibration.cameras.clone();
         fresh.state.calibration.time_offset = self.state.calibration.time_offset;
+        if let Some(learned) = self.learned_wheels() {
+            fresh.resume_wheels(&learned);
+        }
+        if let (Some(new), Some(old)) = (&mut fresh.wheels, &self.wheels) {
+            new.counts = old.counts;
+        }
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
+        fresh.map_version = self.map_version.clone();
+        fresh.map_gravity = self.map_gravity;
         fresh.map_watch = std::mem::take(&mut self.map_watch);
         if let (Some(new), Some(old)) = (&mut fresh.gnss, &self.gnss) {
             new.counts = old.counts;

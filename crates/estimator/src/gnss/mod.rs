@@ -41,7 +41,7 @@ const LOCATED_EVERY_NS: i64 = 490_000_000;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BadGnssReading {
-    /// A number is not finite, or the covariance is none.
+    /// A number is not finite, or the covariance is not valid.
     #[error(
         "GNSS reading at {stamp_ns} ns dropped: its position is not finite, or its covariance is not positive definite"
     )]

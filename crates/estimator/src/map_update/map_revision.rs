@@ -37,7 +37,8 @@
 //! # Answers of other versions
 //! A change is applied when its announcement arrives. Later answers of another version to images from before that are
 //! outdated and rejected. An answer of a new version may arrive before the announcement: such answers are rejected for
-//! [`ANNOUNCEMENT_NS`]. After that, or where the announcement is not of a change from the version in use (one was lost), the
+//! [`ANNOUNCEMENT_NS`]. Several servers of a map change over one after the other, so answers of an older version are rejected for
+//! [`BEHIND_NS`], and a change to an older version than the one in use is not believed where it is not one from that. After that, or where the announcement is not of a change from the version in use (one was lost), the
 //! map is treated as a different one: all keyframes are invalidated and `global_from_local` is initialized again.
 //!
 //! Answers of another map, as its identity tells, are rejected whatever their version.
@@ -50,6 +51,10 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 /// Time after the first answer of a new version in which its announcement is waited for, nanoseconds of image time. Both
 /// leave the server within milliseconds; in a recording played as fast as possible that can be a second.
 pub const ANNOUNCEMENT_NS: i64 = 2_000_000_000;
+
+/// Time in which a server that answers with an older version than the one in use is taken for one that is behind, nanoseconds of
+/// image time: by default servers look for releases every 30 s.
+pub const BEHIND_NS: i64 = 45_000_000_000;
 
 /// Largest motion in a change that keeps `global_from_local`, metres per axis: beyond, its estimate says nothing, and a
 /// covariance with such a variance beside those of centimetres is badly conditioned.
@@ -96,7 +101,7 @@ pub enum RevisionEffect {
     CarriedOver,
     /// The next answer of the new version initializes `global_from_local` again.
     Reinitialized,
-    /// None: no map version is in use yet, or already this one.
+    /// None: no map version is in use yet, or already this one or a newer one.
     None,
 }
 
@@ -109,7 +114,8 @@ pub(crate) struct MapVersion {
     identity: Option<u128>,
     /// Time of the newest image when that version came into use, nanoseconds.
     since_ns: i64,
-    /// Another version that answered before its announcement, and the time of the state then, nanoseconds.
+    /// Another version that answered before its announcement, and the time of the state then, nanoseconds; none since an answer of
+    /// the version in use.
     unannounced: Option<(u64, i64)>,
     /// Announced version that requires a new map initialization.
     reinitialize: Option<u64>,
@@ -137,13 +143,26 @@ impl MapVersion {
         self.reinitialize = Some(version);
     }
 
-    /// Whether the announcement of `version` is to be waited for.
+    /// Notes an answer of the version in use: it is still served.
+    pub(crate) fn note_answer(&mut self) {
+        self.unannounced = None;
+    }
+
+    /// Whether an announced version is older than the one in use, and the announcement one of a change that came before.
+    pub(crate) fn is_past(&self, from_version: u64, version: u64) -> bool {
+        self.held.is_some_and(|held| version < held && from_version != held)
+    }
+
+    /// Whether the announcement of `version` is to be waited for, or that its server changes over.
     pub(crate) fn awaits_announcement(&mut self, version: u64, now_ns: i64) -> bool {
         if self.reinitialize == Some(version) {
             return false;
         }
         match self.unannounced {
-            Some((other, since_ns)) if other == version => now_ns - since_ns < ANNOUNCEMENT_NS,
+            Some((other, since_ns)) if other == version => {
+                let is_behind = self.held.is_some_and(|held| version < held);
+                now_ns - since_ns < if is_behind { BEHIND_NS } else { ANNOUNCEMENT_NS }
+            }
             _ => {
                 self.unannounced = Some((version, now_ns));
                 true
@@ -210,4 +229,25 @@ pub(crate) fn keyframe_wrt_motion(keyframe: &Vector3<f64>, centre: &Vector3<f64>
     let mut jacobian = Matrix6::identity();
     jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(keyframe - centre).cross_matrix());
     jacobian
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_older_version_is_waited_for_longer_than_a_newer_one_and_not_while_the_one_in_use_answers() {
+        let mut used = MapVersion::default();
+        used.begin(5, 0);
+        for (version, waits_ns) in [(6, ANNOUNCEMENT_NS), (4, BEHIND_NS)] {
+            assert!(used.awaits_announcement(version, 0));
+            assert!(used.awaits_announcement(version, waits_ns - 1));
+            assert!(!used.awaits_announcement(version, waits_ns));
+            used.note_answer();
+            assert!(used.awaits_announcement(version, waits_ns));
+        }
+        // Announcements of changes that are behind it, and one that goes back from it.
+        assert!(used.is_past(3, 4) && used.is_past(1, 2));
+        assert!(!used.is_past(5, 4) && !used.is_past(5, 6) && !used.is_past(7, 8));
+    }
 }

@@ -69,7 +69,7 @@ struct Contradiction {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "answers of {seconds:.0} s moved the pose in the map by {position_m:.2} m and {rotation_deg:.1} deg against odometry, more than \
-     both allow: the map moves, its server lies, or the odometry failed (carried, cameras covered); the covariance of the \
+     both allow: the map moves, its server sends wrong poses, or the odometry failed (carried, cameras covered); the covariance of the \
      pose in the map is enlarged by as much. Check the pose at a known place, and who serves the map"
 )]
 pub struct MapDrift {

@@ -43,7 +43,7 @@ impl SideReading for WheelReading {
 
 impl SideReading for GnssReading {
     const UNUSABLE: &'static str =
-        "positions of GNSS are not finite, or their covariance is none, and are not used; check the receiver";
+        "positions of GNSS are not finite, or have no valid covariance, and are not used; check the receiver";
 
     fn stamp_ns(&self) -> i64 {
         self.stamp_ns
