@@ -236,9 +236,8 @@ impl Inbox {
         let own = if folder.exists() { sizes(folder)? } else { Vec::new() };
         let mut incomplete: Vec<(SystemTime, PathBuf)> = own
             .iter()
-            .cloned()
             .filter(|(path, _)| path.extension().is_some_and(|of| of == INCOMPLETE) && path != begun)
-            .filter_map(|(path, _)| Some((path.metadata().ok()?.modified().ok()?, path)))
+            .filter_map(|(path, _)| Some((path.metadata().ok()?.modified().ok()?, path.clone())))
             .collect();
         incomplete.sort();
         let too_many = (incomplete.len() + 1).saturating_sub(MOST_INCOMPLETE);

@@ -236,7 +236,7 @@ impl Estimator {
     fn restart(&mut self, initial: &InitialState, motion: &FixedMotion) -> Result<(), EstimatorError> {
         let mut fresh = Self::new(self.config.clone(), self.state.calibration.cameras.clone(), initial)?;
         // The settings state readout times for the start.
-        fresh.state.calibration.cameras = self.state.calibration.cameras.clone();
+        fresh.state.calibration.cameras.clone_from(&self.state.calibration.cameras);
         fresh.state.calibration.time_offset = self.state.calibration.time_offset;
         if let Some(learned) = self.learned_wheels() {
             fresh.resume_wheels(&learned);
