@@ -317,7 +317,9 @@ mod tests {
     fn both_sensors_in_other_units_are_not_taken_for_each_other() {
         // Ten deg/s: as much as gravity has in m/s^2.
         let mut samples = swinging(0.1);
-        samples.iter_mut().for_each(|sample| sample.gyroscope.z += 0.17);
+        for sample in &mut samples {
+            sample.gyroscope.z += 0.17;
+        }
         let both = check(&scaled(&samples, 1_f64.to_degrees(), 1.0 / STANDARD_GRAVITY));
         assert!(matches!(both, Err(ImuUnitError::AccelerationInG { .. })), "{both:?}");
     }

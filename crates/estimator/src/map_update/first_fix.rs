@@ -122,7 +122,7 @@ pub struct FirstFix {
     /// Where the robot is according to its operator.
     expected: Option<FixedPose>,
     /// The hypothesis that has won against a state already.
-    won: Option<Hypothesis>,
+    won: Option<Box<Hypothesis>>,
     dropped: usize,
 }
 
@@ -204,7 +204,7 @@ impl FirstFix {
     pub fn won_by(&mut self, map_version: u64, newest: FixedPose, evidence: PlaceEvidence) {
         self.map_version = Some(map_version);
         self.hypotheses.clear();
-        self.won = Some(Hypothesis { newest, evidence });
+        self.won = Some(Box::new(Hypothesis { newest, evidence }));
     }
 
     /// Odometry failed: answers from before say nothing about `global_from_local` any more, nor does the operator.
