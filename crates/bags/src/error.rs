@@ -16,7 +16,7 @@ pub enum BagError {
         source: std::io::Error,
     },
     /// The file is of no format that is read here.
-    #[error("{} is no recording: an MCAP, a rosbag1 (.bag), a rosbag2 (.db3, or its folder) is needed", path.display())]
+    #[error("{} is no recording, or its beginning is damaged: an MCAP, a rosbag1 (.bag), a rosbag2 (.db3, or its folder) is needed", path.display())]
     UnknownFormat {
         /// The file or folder.
         path: PathBuf,

@@ -35,8 +35,8 @@ pub enum HandInError {
         /// Of this program.
         expected: u16,
     },
-    /// The file was cut off before anything was recorded.
-    #[error("{} was cut off before its header was written: nothing was recorded, delete it", path.display())]
+    /// The header is not whole: the file was cut off, or is damaged.
+    #[error("{}: its header is cut off or damaged, so nothing of it can be read: copy it from the robot again", path.display())]
     NoHeader {
         /// The file.
         path: PathBuf,

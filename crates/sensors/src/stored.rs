@@ -103,6 +103,10 @@ fn open_any(
         let (session, calibration) = SessionRecording::open(root)?;
         return Ok((Arc::new(session), calibration));
     }
+    #[cfg(feature = "bags")]
+    if root.is_file() {
+        return Err(bags::BagError::UnknownFormat { path: root.to_owned() }.into());
+    }
     if four_seasons::is_recording(root) {
         let (recording, calibration) = four_seasons::Recording::open(root, files)?;
         return Ok((Arc::new(recording), calibration));

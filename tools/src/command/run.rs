@@ -46,7 +46,11 @@ pub fn run(args: &Args) -> Result<()> {
     args.robot.gnss.name_topic(&mut files)?;
     let recording = Recording::open_with(&args.recording, &files)?;
     let maps = match (&args.map, args.robot.map_mode()?) {
-        (_, MapMode::Odometry) => Vec::new(),
+        (Some(database), MapMode::Odometry) => {
+            tracing::warn!("--map {} is not used: --mode odometry asks no map", database.display());
+            Vec::new()
+        }
+        (None, MapMode::Odometry) => Vec::new(),
         (None, _) => {
             bail!(
                 "--map DB is missing: build one with `driftless build-map REC --map DB`, or use --mode odometry"

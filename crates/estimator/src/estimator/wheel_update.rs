@@ -73,11 +73,11 @@ impl Estimator {
         let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
         let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
         let residual_m = measurement.residual_of_wheels(&calibration.base);
-        let is_trusted = wheels.watch.is_trusted();
+        let (is_trusted, is_faulty) = (wheels.watch.is_trusted(), wheels.watch.fault().is_some());
         let is_accepted = self.update_part(wheels, &measurement, Part::Rolling, is_trusted)?;
         wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m);
         let counts = &mut wheels.counts;
-        counts.left_out += usize::from(!is_trusted);
+        counts.left_out += usize::from(is_faulty);
         counts.used += usize::from(is_trusted && is_accepted);
         counts.slipped += usize::from(is_trusted && !is_accepted);
         if is_trusted && let Some(again) = self.wheel_measurement(wheels, due, &motion) {

@@ -1,7 +1,8 @@
 //! Slip, and wheels that report nonsense.
 //!
 //! A wheel that slips contradicts the state for a moment: its interval is rejected and counted. Wheels whose intervals are
-//! rejected for most of a second are left out until they agree again for two.
+//! rejected for most of a second are left out until they agree again for two. Nor are they used before they have agreed for most of
+//! the first second: a velocity that is hardly known yet passes any test, and nonsense would become its value.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -82,6 +83,8 @@ struct Tested {
 pub struct WheelWatch {
     base: BaseKind,
     tested: VecDeque<Tested>,
+    /// Whether they have agreed for a while.
+    has_agreed: bool,
     contradicts: Option<Wheel>,
     /// Since when there are no usable readings, nanoseconds.
     missing_since_ns: Option<i64>,
@@ -91,7 +94,14 @@ pub struct WheelWatch {
 impl WheelWatch {
     /// Nothing was tested yet.
     pub fn new(base: BaseKind) -> Self {
-        Self { base, tested: VecDeque::new(), contradicts: None, missing_since_ns: None, silent_s: None }
+        Self {
+            base,
+            tested: VecDeque::new(),
+            has_agreed: false,
+            contradicts: None,
+            missing_since_ns: None,
+            silent_s: None,
+        }
     }
 
     /// Takes in the test of an interval.
@@ -107,6 +117,9 @@ impl WheelWatch {
         while self.tested.front().is_some_and(|oldest| to_ns - oldest.from_ns > window_ns) {
             self.tested.pop_front();
         }
+        self.has_agreed = self.has_agreed
+            || self.covered_ns(|_| true) >= MIN_SPAN_NS as f64
+                && self.part(|tested| tested.is_accepted) >= MOST;
         match self.contradicts {
             None if self.covered_ns(|tested| !tested.is_accepted) > MIN_SPAN_NS as f64 * MOST
                 && self.covered_ns(|_| true) >= MIN_SPAN_NS as f64
@@ -136,7 +149,7 @@ impl WheelWatch {
 
     /// Whether intervals that pass their test are used.
     pub fn is_trusted(&self) -> bool {
-        self.contradicts.is_none()
+        self.has_agreed && self.contradicts.is_none()
     }
 
     /// Why the wheels are left out.
@@ -207,6 +220,20 @@ mod tests {
         assert!(!watch.is_trusted(), "they have to agree for two seconds");
         noted(&mut watch, now, (0..15).map(|_| true));
         assert!(watch.is_trusted() && watch.fault().is_none());
+    }
+
+    #[test]
+    fn wheels_are_used_once_they_have_agreed_and_nonsense_from_the_start_never_is() {
+        let mut watch = WheelWatch::new(BaseKind::Differential);
+        assert!(!watch.is_trusted() && watch.fault().is_none());
+        // One of the first intervals passes, as the velocity is not known yet.
+        let now = noted(&mut watch, 0, (0..30).map(|k| k == 2));
+        assert!(!watch.is_trusted() && watch.fault().is_some());
+        noted(&mut watch, now, (0..50).map(|_| true));
+        assert!(watch.is_trusted() && watch.fault().is_none());
+        let mut watch = WheelWatch::new(BaseKind::Differential);
+        noted(&mut watch, 0, (0..15).map(|_| true));
+        assert!(watch.is_trusted());
     }
 
     #[test]
