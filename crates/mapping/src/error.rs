@@ -176,20 +176,6 @@ pub enum BuildError {
         /// Median of the differences (deg).
         difference_deg: f64,
     },
-    /// Reference poses that the accelerometer contradicts.
-    #[error(
-        "along the axis {axis} of their frame the positions of the poses accelerate {scale:.3} times as much as the IMU (standard deviation \
-         {sigma:.3}): check their unit (metres), the order and the signs of their axes (a right-handed frame, the same one as for their \
-         rotations), their times, and the unit of the accelerometer (m/s^2)"
-    )]
-    ReferencesAccelerateOtherwise {
-        /// The axis.
-        axis: &'static str,
-        /// Acceleration by the positions over that by the accelerometer.
-        scale: f64,
-        /// Its standard deviation.
-        sigma: f64,
-    },
     /// Hardly any images show one place.
     #[error(
         "only {located} of {images} stereo pairs show a place that an earlier one shows, or the IMU does not cover them: images \

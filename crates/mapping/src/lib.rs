@@ -36,7 +36,6 @@
 //! `cargo run --release -p driftless-mapping --example build_map`.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-mod accelerometer_check;
 mod added_features;
 mod aliasing;
 mod assemble;
