@@ -38,8 +38,9 @@
 //! A change is applied when its announcement arrives. Later answers of another version to images from before that are
 //! outdated and rejected. An answer of a new version may arrive before the announcement: such answers are rejected for
 //! [`ANNOUNCEMENT_NS`]. Several servers of a map change over one after the other, so answers of an older version are rejected for
-//! [`BEHIND_NS`], and a change to an older version than the one in use is not believed where it is not one from that. After that, or where the announcement is not of a change from the version in use (one was lost), the
-//! map is treated as a different one: all keyframes are invalidated and `global_from_local` is initialized again.
+//! [`BEHIND_NS`], and the announcement of an older version is ignored unless it is of a change from the version in use. After that, or
+//! where the announcement of a newer version is not of a change from the version in use (one was lost), the map is treated as a different
+//! one: all keyframes are invalidated and `global_from_local` is initialized again.
 //!
 //! Answers of another map, as its identity tells, are rejected whatever their version.
 
