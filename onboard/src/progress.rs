@@ -1,6 +1,7 @@
 //! Progress bar and report of a run on the terminal.
 
 use super::outputs::{Summary, status_word};
+use estimator::GnssCounts;
 use evaluation::{RunScore, Score, ScoreOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
@@ -51,6 +52,16 @@ fn query_report(summary: &Summary) -> String {
         );
     }
     text
+}
+
+/// What became of the positions of GNSS.
+fn gnss_report(gnss: &GnssCounts) -> String {
+    let unused = if gnss.used + gnss.initializations == 0 { ": NONE WAS USED" } else { "" };
+    format!(
+        "GNSS: {} positions used, {} rejected, {} while it was left out, {} before the pose in the map was initialized, {} late or without \
+         images, {} invalid{unused}\n",
+        gnss.used, gnss.gated, gnss.left_out, gnss.before_initialization, gnss.late, gnss.refused
+    )
 }
 
 /// The errors of a run against ground truth.
@@ -134,6 +145,9 @@ pub fn report(summary: &Summary) -> String {
     }
     if summary.map.is_some() {
         text += &query_report(summary);
+    }
+    if let Some(gnss) = &summary.gnss {
+        text += &gnss_report(gnss);
     }
     if let Some(score) = &summary.score {
         text += &score_report(score);

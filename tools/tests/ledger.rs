@@ -121,6 +121,13 @@ fn releases_have_the_ledger(scratch: &Scratch, both: &[(String, u64)]) {
     scratch.run("checkout city --map copy.db");
     assert_eq!(audited(scratch, "copy.db"), both);
     assert_eq!(names(&audited(scratch, "city@1")), ["map"]);
+
+    // An older copy takes no session away, unless that is meant.
+    scratch.run("checkout city@1 --map old.db");
+    let said = complaint(scratch, "publish-map --map old.db --to city");
+    assert!(said.contains("has 1 sessions that this map lacks, the first of them live"), "{said}");
+    scratch.run("publish-map --map old.db --to city --replace");
+    assert_eq!(names(&audited(scratch, "city@3")), ["map"]);
 }
 
 fn text_has_the_ledger(scratch: &Scratch, both: &[(String, u64)]) {

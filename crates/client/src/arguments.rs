@@ -64,6 +64,11 @@ impl SessionArguments {
         }
     }
 
+    /// Whether any of the switches is given.
+    pub fn is_given(&self) -> bool {
+        !self.says_nothing() || self.scout || self.namespace.is_some() || self.session_mode.is_some()
+    }
+
     fn says_nothing(&self) -> bool {
         self.listen.is_empty()
             && self.connect.is_empty()

@@ -33,6 +33,22 @@ pub enum ReleaseError {
         /// The error of the store, which tells its own causes.
         reason: Box<object_store::Error>,
     },
+    /// The newest release has sessions that the map lacks: it is older, or was built anew.
+    #[error(
+        "release {number} of {place} has {sessions} sessions that this map lacks, the first of them {first}: they would be lost; driftless checkout \
+         {place} makes a working copy that has them, driftless rollback goes back to a release on purpose, and --replace publishes a map that was \
+         built anew"
+    )]
+    LosesSessions {
+        /// The store.
+        place: String,
+        /// The release.
+        number: u64,
+        /// How many.
+        sessions: usize,
+        /// The name of one.
+        first: String,
+    },
     /// Another program published meanwhile.
     #[error("another program published release {number} at the same time: publish again to come after it")]
     Conflict {

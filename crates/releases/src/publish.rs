@@ -11,6 +11,7 @@ use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ServedCell};
 use crate::stage::{Note, Stage};
 use crate::store::ReleaseStore;
 use map::file::SegmentName;
+use map::sessions::SessionDifference;
 use map::{Keyframe, MapContents, MapMetadata};
 use std::collections::BTreeSet;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -28,11 +29,13 @@ pub struct PublishOptions {
     pub stage: Stage,
     /// Who publishes, and why.
     pub note: Note,
+    /// Whether sessions that the newest release has and the map lacks may be lost with it: the map was built anew.
+    pub may_lose_sessions: bool,
 }
 
 impl Default for PublishOptions {
     fn default() -> Self {
-        Self { keyframes_a_cell: KEYFRAMES_A_CELL, stage: Stage::Live, note: Note::default() }
+        Self { keyframes_a_cell: KEYFRAMES_A_CELL, stage: Stage::Live, note: Note::default(), may_lose_sessions: false }
     }
 }
 
@@ -75,6 +78,7 @@ pub struct Published {
 ///
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
+/// [`ReleaseError::LosesSessions`] where the newest release has sessions that the map lacks and these may not be lost,
 /// [`ReleaseError::Conflict`] and [`ReleaseError::CandidateConflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments, [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
@@ -97,6 +101,15 @@ pub async fn publish(
         }
         if former.digest == digest {
             return Ok(Outcome::Unchanged { number: former.number });
+        }
+        let lost = SessionDifference::between(&former.map.sessions, &contents.info.sessions).removed;
+        if let (Some(first), false) = (lost.first(), options.may_lose_sessions) {
+            return Err(ReleaseError::LosesSessions {
+                place: store.place().to_owned(),
+                number: former.number,
+                sessions: lost.len(),
+                first: first.name.clone(),
+            });
         }
     }
     let mut partition = former

@@ -57,6 +57,12 @@ pub struct CalibrationFiles {
 }
 
 impl CalibrationFiles {
+    /// The topics that are named.
+    pub(crate) fn topics(&self) -> impl Iterator<Item = &str> {
+        let single = [&self.imu_topic, &self.accelerometer_topic, &self.wheel_topic, &self.gnss_topic];
+        single.into_iter().flatten().chain(&self.camera_topics).map(String::as_str)
+    }
+
     /// The largest difference between the stamps of the images of a pair, nanoseconds.
     pub(crate) fn pair_tolerance_ns(&self) -> i64 {
         self.pair_tolerance_ns.unwrap_or(PAIR_TOLERANCE_NS)

@@ -99,6 +99,9 @@ fn open_any(
         let (bag, calibration) = super::bag::BagRecording::open(root, files)?;
         return Ok((Arc::new(bag), calibration));
     }
+    for topic in files.topics() {
+        tracing::warn!(topic, "{} is no bag and has no topics: this one is not used", root.display());
+    }
     if hand_in::Session::is_session(root) {
         let (session, calibration) = SessionRecording::open(root)?;
         return Ok((Arc::new(session), calibration));

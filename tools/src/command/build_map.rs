@@ -236,6 +236,9 @@ pub(crate) fn build(
         check_new_recording(&stored.info, &sequence, &options).map_err(ExtendError::from)?;
     }
     let references = if args.extend { None } else { references(args, &sequence)? };
+    if references.is_none() {
+        check_unused(args)?;
+    }
     let priors = args.priors.read(args.sigma_theta, args.sigma_p)?;
     let start = Instant::now();
     let cameras = if args.mono { 1 } else { sequence.cameras.len() };
@@ -375,6 +378,28 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<Ref
     }
 }
 
+/// Refuses switches about given poses where the map is built from odometry.
+fn check_unused(args: &Args) -> anyhow::Result<()> {
+    let priors = &args.priors;
+    let has_poses = priors.pose_priors.is_some();
+    let unused = [
+        ("--gravity", args.gravity.is_some_and(|down| down.normalize().dot(&-Vector3::z()) < 0.9999)),
+        ("--no-refine-poses", args.no_refine_poses),
+        ("--sigma-theta", args.sigma_theta.is_some() && !has_poses),
+        ("--sigma-p", args.sigma_p.is_some() && !priors.are_given()),
+        ("--quaternion", priors.quaternion.is_some() && !has_poses),
+    ];
+    let unused: Vec<&str> = unused.iter().filter(|(_, is_given)| *is_given).map(|(name, _)| *name).collect();
+    if !unused.is_empty() {
+        bail!(
+            "{}: the map is built from odometry, and its z axis points up; give the poses that this is about, with --poses FILE or \
+             --pose-priors FILE, or leave it out",
+            unused.join(", ")
+        );
+    }
+    Ok(())
+}
+
 fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     check_sigma_theta(args.sigma_theta)?;
     let [from_s, until_s] = [args.from.unwrap_or(0.0), args.until.unwrap_or(f64::INFINITY)];
@@ -425,5 +450,24 @@ mod tests {
         let error = options(&args("--sigma-theta 5")).unwrap_err().to_string();
         assert!(error.contains("radians") && error.contains("5 degrees are 0.087"), "{error}");
         assert!(options(&args("--sigma-theta 0.087")).is_ok());
+    }
+
+    #[test]
+    fn switches_about_poses_are_refused_without_poses() {
+        for (switches, unused) in [
+            ("--gravity 0,0,-1", None),
+            ("--gravity 0,1,0", Some("--gravity:")),
+            ("--sigma-theta 0.1 --sigma-p 0.1", Some("--sigma-theta, --sigma-p:")),
+            ("--position-priors p.csv --sigma-p 0.1", None),
+            ("--position-priors p.csv --quaternion xyzw", Some("--quaternion:")),
+            ("--pose-priors p.tum --sigma-theta 0.1 --sigma-p 0.1 --quaternion xyzw", None),
+            ("--pose-priors p.tum --no-refine-poses", Some("--no-refine-poses:")),
+        ] {
+            let found = check_unused(&args(switches)).err().map(|error| error.to_string());
+            match unused {
+                Some(name) => assert!(found.as_ref().is_some_and(|text| text.starts_with(name)), "{found:?}"),
+                None => assert_eq!(found, None, "{switches}"),
+            }
+        }
     }
 }

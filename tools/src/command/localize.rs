@@ -46,6 +46,12 @@ fn is_path(map: &str) -> bool {
 }
 
 fn ask_map(args: &Args) -> anyhow::Result<(QueryImage, LocalizeReply)> {
+    anyhow::ensure!(
+        !args.server.session.is_given(),
+        "--map {} is a map that is read here, and the switches of a session ask a server: leave them out, or give the name under which \
+         the server serves it",
+        args.map
+    );
     let map = load_map(Path::new(&args.map))?;
     let features = args.features.or_of_map(&map.info().extractor);
     let query = QueryImage::from_file(&args.image, &args.camera, &features)?;

@@ -108,6 +108,7 @@ impl SettingsArgs {
         for (switch, value) in positive {
             ensure!(value.is_finite() && value > 0.0, "{switch} {value}: give a positive number");
         }
+        ensure!(self.place_deg <= 180.0, "--place-deg {}: give at most 180", self.place_deg);
         let probability = self.min_existence;
         ensure!(
             probability > 0.0 && probability < 0.5,

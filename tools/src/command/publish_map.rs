@@ -37,6 +37,9 @@ pub struct Args {
     /// live: servers take it. candidate: it is proposed, and servers take it where they are told to (URL@candidate)
     #[arg(long, value_name = "STAGE", value_enum, default_value_t)]
     stage: StageArg,
+    /// Publish a map that was built anew, although the newest release has sessions that it lacks
+    #[arg(long)]
+    replace: bool,
     #[command(flatten)]
     note: NoteArgs,
     #[command(flatten)]
@@ -155,6 +158,7 @@ pub(super) fn propose(
         to: to.to_owned(),
         keyframes_per_cell: PublishOptions::default().keyframes_a_cell as u64,
         stage: StageArg::Candidate,
+        replace: false,
         note: note.clone(),
         signing: signing.clone(),
         json: true,
@@ -182,6 +186,7 @@ fn publish_map(args: &Args) -> anyhow::Result<Outcome> {
     let mut options = PublishOptions::default();
     options.keyframes_a_cell = usize::try_from(args.keyframes_per_cell)?;
     options.note = args.note.read()?;
+    options.may_lose_sessions = args.replace;
     options.stage = match args.stage {
         StageArg::Live => Stage::Live,
         StageArg::Candidate => Stage::Candidate,

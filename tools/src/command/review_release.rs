@@ -3,7 +3,7 @@
 use super::publish_map::VerifyingArgs;
 use super::releases::in_store;
 use crate::review::{Drive, Gates, Review, Side, write_page};
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use onboard::RobotArguments;
 use onboard::arguments::CalibrationArguments;
 use recognition::LoadedMap;
@@ -95,6 +95,9 @@ fn read_sides(args: &Args) -> Result<[Side; 2]> {
         }
         Ok(maps)
     })?;
+    if let [(live, _), (candidate, _)] = maps.as_slice() {
+        ensure!(live != candidate, "{live} would be compared with itself: give another with --against");
+    }
     let mut sides = Vec::new();
     for (title, contents) in maps {
         let map = LoadedMap::from_contents(contents).with_context(|| title.clone())?;

@@ -2,7 +2,7 @@
 
 use super::Estimator;
 use crate::error::EstimatorError;
-use crate::gnss::alignment::{Located, align};
+use crate::gnss::alignment::{Located, Unaligned, align, extents};
 use crate::gnss::measurement::{Between, GnssMeasurement, antenna_in_local};
 use crate::gnss::report::GnssCounts;
 use crate::gnss::{BadGnssReading, Gnss};
@@ -98,7 +98,11 @@ impl Estimator {
         let config = &gnss.config;
         let local_now = self.local_from_imu();
         let found = align(located, config.correlation_time_s, config.sigma_tilt_rad, &local_now);
-        let Some(found) = found.filter(|found| found.sigma_yaw_rad <= config.initial_sigma_yaw_rad) else {
+        if let (Err(Unaligned::Misfit), None, [first, .., last]) = (&found, &self.state.transform, located) {
+            gnss.watch.note_unaligned(last.stamp_ns - first.stamp_ns, extents(located));
+        }
+        let Some(found) = found.ok().filter(|found| found.sigma_yaw_rad <= config.initial_sigma_yaw_rad)
+        else {
             return;
         };
         self.remove_transform();

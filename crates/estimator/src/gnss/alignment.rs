@@ -40,31 +40,46 @@ pub(crate) struct Alignment {
     pub(crate) sigma_yaw_rad: f64,
 }
 
+/// Why readings are not aligned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Unaligned {
+    /// There are too few, or they do not differ.
+    TooFew,
+    /// They do not follow odometry.
+    Misfit,
+}
+
 /// By how much readings at such intervals are worth less than independent ones, as the sum of an exponential correlation.
 pub(crate) fn inflation(interval_s: f64, correlation_time_s: f64) -> f64 {
     let correlation = (-interval_s.max(0.0) / correlation_time_s).exp();
     (1.0 + correlation) / (1.0 - correlation).max(1e-6)
 }
 
-/// Aligns readings; `None` where there are too few, or they do not fit.
+/// Aligns readings.
 ///
 /// # Arguments
 /// * `located`: in order of time.
 /// * `local_now`: the newest position of the IMU in L, and the covariance of the pose there: what odometry may have lost.
+///
+/// # Errors
+/// [`Unaligned`].
 pub(crate) fn align(
     located: &[Located],
     correlation_time_s: f64,
     sigma_tilt_rad: f64,
     local_now: &PoseWithCovariance,
-) -> Option<Alignment> {
-    let newest = located.last()?.in_local;
+) -> Result<Alignment, Unaligned> {
+    let newest = located.last().ok_or(Unaligned::TooFew)?.in_local;
     let mut used: Vec<Located> = located.to_vec();
     let count = used.len();
     for _ in 0..ROUNDS {
-        if used.len() < MIN_READINGS || (used.len() as f64) < MOST * count as f64 {
-            return None;
+        if (used.len() as f64) < MOST * count as f64 {
+            return Err(Unaligned::Misfit);
         }
-        let (pose, information) = fit(&used)?;
+        let (&[first, .., last], true) = (used.as_slice(), used.len() >= MIN_READINGS) else {
+            return Err(Unaligned::TooFew);
+        };
+        let (pose, information) = fit(&used).ok_or(Unaligned::TooFew)?;
         let misfit = |one: &Located| {
             let residual = one.in_global - pose.transform(&one.in_local);
             let drift = DRIFT * (one.in_local - newest).norm();
@@ -76,15 +91,26 @@ pub(crate) fn align(
         if used.len() < before {
             continue;
         }
-        let span_s = (used.last()?.stamp_ns - used.first()?.stamp_ns) as f64 * 1e-9;
+        let span_s = (last.stamp_ns - first.stamp_ns) as f64 * 1e-9;
         let interval_s = span_s / (used.len() - 1) as f64;
-        let own = information.try_inverse()? * inflation(interval_s, correlation_time_s);
+        let own =
+            information.try_inverse().ok_or(Unaligned::TooFew)? * inflation(interval_s, correlation_time_s);
         let centre = used.iter().map(|one| one.in_local).sum::<Vector3<f64>>() / used.len() as f64;
         let covariance = whole_covariance(&own, &centre, sigma_tilt_rad, local_now);
         let sigma_yaw_rad = covariance[(2, 2)].sqrt();
-        return Some(Alignment { transform: PoseWithCovariance::new(pose, covariance), sigma_yaw_rad });
+        return Ok(Alignment { transform: PoseWithCovariance::new(pose, covariance), sigma_yaw_rad });
     }
-    None
+    Err(Unaligned::Misfit)
+}
+
+/// Root mean square distance of the readings from their mean, metres: in L, and in G.
+pub(crate) fn extents(located: &[Located]) -> [f64; 2] {
+    let extent = |at: fn(&Located) -> Vector3<f64>| {
+        let count = located.len().max(1) as f64;
+        let mean = located.iter().map(at).sum::<Vector3<f64>>() / count;
+        (located.iter().map(|one| (at(one) - mean).norm_squared()).sum::<f64>() / count).sqrt()
+    };
+    [extent(|one| one.in_local), extent(|one| one.in_global)]
 }
 
 /// The covariance of all six numbers, of a tilt about the middle of the readings, and of what odometry may have lost since.
@@ -115,7 +141,7 @@ fn whole_covariance(
 
 /// Weighted least squares of yaw and position, and its information about `[e_yaw, e_p]` in L.
 fn fit(used: &[Located]) -> Option<(Pose, Matrix4<f64>)> {
-    let mut pose = first_pose(used)?;
+    let mut pose = first_pose(used);
     let mut information = Matrix4::zeros();
     for _ in 0..ITERATIONS {
         information = Matrix4::zeros();
@@ -140,7 +166,7 @@ fn fit(used: &[Located]) -> Option<(Pose, Matrix4<f64>)> {
 }
 
 /// Yaw by the horizontal deviations from the means.
-fn first_pose(used: &[Located]) -> Option<Pose> {
+fn first_pose(used: &[Located]) -> Pose {
     let count = used.len() as f64;
     let local = used.iter().map(|one| one.in_local).sum::<Vector3<f64>>() / count;
     let global = used.iter().map(|one| one.in_global).sum::<Vector3<f64>>() / count;
@@ -151,7 +177,7 @@ fn first_pose(used: &[Located]) -> Option<Pose> {
         cosine += a.x * b.x + a.y * b.y;
     }
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), sine.atan2(cosine));
-    (sine.hypot(cosine) > 0.0).then(|| Pose::new(rotation, global - rotation * local))
+    Pose::new(rotation, global - rotation * local)
 }
 
 #[cfg(test)]
@@ -212,8 +238,21 @@ mod tests {
         for one in bent.iter_mut().skip(15).step_by(2) {
             one.in_global.y += 15.0;
         }
-        assert!(align(&bent, 0.1, 1e-3, &known()).is_none());
-        assert!(align(&drive(3, 0)[..4], 0.1, 1e-3, &known()).is_none());
+        assert_eq!(align(&bent, 0.1, 1e-3, &known()).err(), Some(Unaligned::Misfit));
+        assert_eq!(align(&drive(3, 0)[..4], 0.1, 1e-3, &known()).err(), Some(Unaligned::TooFew));
+    }
+
+    /// Another unit, exchanged axes and a receiver that repeats its last position.
+    #[test]
+    fn positions_that_do_not_follow_odometry_are_a_misfit() {
+        let kinds: [fn(&mut Vector3<f64>); 3] =
+            [|at| *at *= 1e-3, |at| at.swap_rows(0, 1), |at| *at = Vector3::new(1.0, 2.0, 3.0)];
+        for kind in kinds {
+            let mut wrong = drive(3, 0);
+            wrong.iter_mut().for_each(|one| kind(&mut one.in_global));
+            let found = align(&wrong, 0.1, 1e-3, &known());
+            assert_eq!(found.err(), Some(Unaligned::Misfit));
+        }
     }
 
     #[test]
@@ -232,6 +271,9 @@ mod tests {
         for one in &mut standing {
             one.in_local = Vector3::zeros();
         }
-        assert!(align(&standing, 0.1, 1e-3, &known()).is_none_or(|found| found.sigma_yaw_rad > 1.0));
+        match align(&standing, 0.1, 1e-3, &known()) {
+            Ok(found) => assert!(found.sigma_yaw_rad > 1.0),
+            Err(why) => assert_eq!(why, Unaligned::TooFew),
+        }
     }
 }

@@ -110,6 +110,9 @@ impl Gnss {
         checked.inspect_err(|_| self.counts.refused += 1)?;
         self.newest_ns = Some(stamp_ns);
         reading.stamp_ns += (self.config.time_offset_s * 1e9).round() as i64;
+        if let Some((_, image_ns)) = self.clones.back() {
+            self.watch.note_apart(reading.stamp_ns.saturating_sub(*image_ns));
+        }
         reading.covariance += Matrix3::identity() * self.config.least_sigma_m.powi(2);
         self.counts.late += usize::from(push_newest(&mut self.waiting, reading, MAX_WAITING));
         Ok(())

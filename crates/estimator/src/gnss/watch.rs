@@ -1,9 +1,12 @@
-//! GNSS that contradicts the state for long.
+//! GNSS that contradicts the state for long, does not follow odometry, or has another clock.
 //!
 //! A jump or a reflection is rejected for some readings, and counted. Where most readings are rejected for ten seconds, GNSS is left
 //! out until most agree for as long, and that is an alarm. Which of both is wrong, the state or GNSS, is not known then: the
 //! readings of a street between tall houses agree with each other, too. GNSS replaces `global_from_local` only if it contradicts
 //! for a minute and on a way over which a lasting error of reflections changes, and if no map supports the state.
+//!
+//! Before `global_from_local` is known there is no state to contradict: positions that do not follow odometry on a way of some
+//! length, and ones whose times are far from those of the images, initialize nothing. Both are alarms.
 
 use nalgebra::Vector3;
 use std::collections::VecDeque;
@@ -18,6 +21,13 @@ const MOST: f64 = 0.7;
 const LONG_NS: i64 = 60_000_000_000;
 /// Way on which it must contradict for that, metres.
 const FAR_M: f64 = 50.0;
+/// Least extent of the way by odometry on which positions that do not fit are an alarm, metres: what reflections at its begin can do is
+/// waited for.
+const MIN_EXTENT_M: f64 = 5.0;
+/// Least time over which they do not fit, nanoseconds.
+const UNALIGNED_NS: i64 = 20_000_000_000;
+/// Readings in a row whose times are far from those of the images.
+const MAX_APART: usize = 20;
 
 /// Why GNSS is left out.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -33,6 +43,31 @@ pub enum GnssFault {
         seconds: f64,
         /// How far the newest reading is from where it is expected, metres.
         metres: f64,
+    },
+    /// Its positions do not follow odometry, so that `global_from_local` is not initialized.
+    #[error(
+        "the positions of GNSS do not follow the odometry for {seconds:.0} s, and do not initialize the pose: by odometry the root mean square \
+         distance from their mean is {local_m:.1} m, theirs is {global_m:.1} m; check their unit, their axes (east, north, up), the clock, the \
+         standard deviations that they state, and whether they change at all"
+    )]
+    Unaligned {
+        /// For how long, seconds.
+        seconds: f64,
+        /// Extent by odometry, metres.
+        local_m: f64,
+        /// Extent by the positions, metres.
+        global_m: f64,
+    },
+    /// Its times are not those of the images.
+    #[error(
+        "the positions of GNSS are {seconds:.0} s {} the images: they are not used; check the clock of the receiver, and the time offset",
+        if *ahead { "ahead of" } else { "behind" }
+    )]
+    Clock {
+        /// By how much, seconds.
+        seconds: f64,
+        /// Whether they are ahead.
+        ahead: bool,
     },
 }
 
@@ -60,6 +95,10 @@ struct Contradiction {
 pub(crate) struct GnssWatch {
     tested: VecDeque<Tested>,
     contradiction: Option<Contradiction>,
+    unaligned: Option<GnssFault>,
+    /// Readings in a row that are far from the images, and the newest one's time after them, nanoseconds.
+    apart: usize,
+    apart_ns: i64,
 }
 
 impl GnssWatch {
@@ -92,9 +131,26 @@ impl GnssWatch {
         }
     }
 
-    /// Forgets everything: the state is another one.
+    /// Takes in positions that do not follow odometry.
+    ///
+    /// # Arguments
+    /// * `extents_m`: root mean square distance from their mean, in L and in G.
+    pub(crate) fn note_unaligned(&mut self, span_ns: i64, [local_m, global_m]: [f64; 2]) {
+        if span_ns >= UNALIGNED_NS && local_m >= MIN_EXTENT_M {
+            self.unaligned = Some(GnssFault::Unaligned { seconds: span_ns as f64 * 1e-9, local_m, global_m });
+        }
+    }
+
+    /// Takes in the time of a reading after the newest image, nanoseconds.
+    pub(crate) fn note_apart(&mut self, apart_ns: i64) {
+        self.apart = if apart_ns.saturating_abs() > WINDOW_NS { self.apart + 1 } else { 0 };
+        self.apart_ns = apart_ns;
+    }
+
+    /// Forgets what the state was tested by: it is another one.
     pub(crate) fn clear(&mut self) {
-        *self = Self::default();
+        let (apart, apart_ns) = (self.apart, self.apart_ns);
+        *self = Self { apart, apart_ns, ..Self::default() };
     }
 
     /// Whether readings that pass their test are used.
@@ -111,10 +167,15 @@ impl GnssWatch {
 
     /// Why GNSS is left out.
     pub(crate) fn fault(&self) -> Option<GnssFault> {
-        self.contradiction.map(|found| GnssFault::Contradiction {
+        let contradiction = self.contradiction.map(|found| GnssFault::Contradiction {
             seconds: (found.until_ns - found.since_ns) as f64 * 1e-9,
             metres: found.metres,
-        })
+        });
+        let clock = (self.apart >= MAX_APART).then_some(GnssFault::Clock {
+            seconds: self.apart_ns.unsigned_abs() as f64 * 1e-9,
+            ahead: self.apart_ns > 0,
+        });
+        clock.or(contradiction).or(self.unaligned)
     }
 }
 
@@ -145,6 +206,33 @@ mod tests {
         assert!(!watch.is_trusted(), "most of ten seconds");
         noted(&mut watch, now, (0..8).map(|_| true));
         assert!(watch.is_trusted() && watch.fault().is_none());
+    }
+
+    #[test]
+    fn positions_that_do_not_follow_odometry_are_a_fault_after_some_way() {
+        let mut watch = GnssWatch::default();
+        watch.note_unaligned(30_000_000_000, [2.0, 2000.0]);
+        watch.note_unaligned(10_000_000_000, [20.0, 20_000.0]);
+        assert_eq!(watch.fault(), None);
+        watch.note_unaligned(30_000_000_000, [20.0, 20_000.0]);
+        assert!(watch.fault().unwrap().to_string().contains("20.0 m, theirs is 20000.0 m"));
+        assert!(watch.is_trusted(), "there is nothing yet to use them for");
+        watch.clear();
+        assert_eq!(watch.fault(), None);
+    }
+
+    #[test]
+    fn times_far_from_the_images_are_a_fault_until_one_is_near() {
+        let mut watch = GnssWatch::default();
+        for _ in 0..19 {
+            watch.note_apart(-3_600_000_000_000);
+        }
+        assert_eq!(watch.fault(), None);
+        watch.note_apart(-3_600_000_000_000);
+        assert!(watch.fault().unwrap().to_string().contains("3600 s behind the images"));
+        watch.note_apart(i64::MIN);
+        watch.note_apart(40_000_000);
+        assert_eq!(watch.fault(), None);
     }
 
     #[test]
