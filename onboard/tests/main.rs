@@ -6,6 +6,7 @@ mod names;
 mod program;
 #[cfg(feature = "bags")]
 mod recording;
+mod repeated_readings;
 #[cfg(feature = "bags")]
 mod sensor_recording;
 mod sensor_source;

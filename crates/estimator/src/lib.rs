@@ -82,6 +82,7 @@ pub use gnss::report::GnssCounts;
 pub use gnss::watch::GnssFault;
 pub use health::Divergence;
 pub use imu::plausibility::ReadingCheck;
+pub use imu::repetition::ImuFault;
 pub use imu::{BadImuSample, ImuGap};
 pub use initialization::continuation::LastTrustedPose;
 pub use initialization::initializer::{InitMethod, InitStatus, Initialization, Initializer};

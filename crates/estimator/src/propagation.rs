@@ -28,6 +28,8 @@ const MAX_STEP_S: f64 = 0.05;
 const GAP_RATE: f64 = 0.5;
 /// The same for the specific force, m/s^2.
 const GAP_FORCE: f64 = 2.0;
+/// Time over which the error of a guess of the motion is alike, seconds.
+const GUESSED_S: f64 = 0.1;
 
 /// A 15x15 matrix over the IMU error state.
 pub type ImuMatrix = SMatrix<f64, IMU_DIM, IMU_DIM>;
@@ -287,6 +289,11 @@ fn integrate(
         velocity_by_accelerometer_bias: -middle * dt,
     };
     (next, step)
+}
+
+/// The noise of readings that are no measurements, but a guess of the motion between two images.
+pub(crate) fn noise_of_a_guess(noise: &ImuNoise) -> ImuNoise {
+    noise_across_gap(noise, GUESSED_S)
 }
 
 /// Noise of a step, increased where it bridges a gap in the samples.

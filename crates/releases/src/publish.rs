@@ -35,7 +35,12 @@ pub struct PublishOptions {
 
 impl Default for PublishOptions {
     fn default() -> Self {
-        Self { keyframes_a_cell: KEYFRAMES_A_CELL, stage: Stage::Live, note: Note::default(), may_lose_sessions: false }
+        Self {
+            keyframes_a_cell: KEYFRAMES_A_CELL,
+            stage: Stage::Live,
+            note: Note::default(),
+            may_lose_sessions: false,
+        }
     }
 }
 

@@ -24,6 +24,7 @@ use crate::gate::Gate;
 use crate::gnss::Gnss;
 use crate::health::Health;
 use crate::imu::ImuBuffer;
+use crate::imu::repetition::Repetition;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
 use crate::map_update::first_fix::FirstFix;
@@ -150,6 +151,7 @@ pub struct Estimator {
     lost_after: Option<usize>,
     health: Health,
     noise: NoiseAdaptation,
+    repetition: Repetition,
     wheels: Option<Box<WheelOdometry>>,
     gnss: Option<Box<Gnss>>,
 }
@@ -211,6 +213,7 @@ impl Estimator {
             gnss: config.gnss.map(Gnss::new).map(Box::new),
             config,
             imu: ImuBuffer::default(),
+            repetition: Repetition::default(),
             state,
             angular_rate: AngularRate::default(),
             covariance,

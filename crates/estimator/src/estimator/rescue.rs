@@ -246,6 +246,7 @@ impl Estimator {
         }
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
+        fresh.repetition = self.repetition.clone();
         fresh.map_version = self.map_version.clone();
         fresh.map_gravity = self.map_gravity;
         fresh.map_watch = std::mem::take(&mut self.map_watch);

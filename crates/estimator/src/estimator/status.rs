@@ -2,6 +2,7 @@
 
 use super::Estimator;
 use crate::gnss::watch::GnssFault;
+use crate::imu::repetition::ImuFault;
 use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_fix::worst_sigmas;
 use crate::map_update::map_gravity::GravityFault;
@@ -82,6 +83,9 @@ pub enum Alarm {
     /// What sensors show contradicts their calibration.
     #[error(transparent)]
     Noise(#[from] NoiseFault),
+    /// The IMU does not measure.
+    #[error(transparent)]
+    Imu(#[from] ImuFault),
     /// The wheels contradict cameras and IMU, or are silent.
     #[error(transparent)]
     Wheels(#[from] WheelFault),
@@ -170,7 +174,8 @@ impl Estimator {
         let wheels = self.wheels.as_ref().and_then(|wheels| wheels.watch.fault()).map(Alarm::from);
         let gnss = self.gnss.as_ref().and_then(|gnss| gnss.watch.fault()).map(Alarm::from);
         let of_noise = self.noise.faults().map(Alarm::from);
-        gravity.into_iter().chain(drift).chain(of_noise).chain(wheels).chain(gnss).collect()
+        let imu = self.repetition.fault().map(Alarm::from);
+        imu.into_iter().chain(gravity).chain(drift).chain(of_noise).chain(wheels).chain(gnss).collect()
     }
 
     /// Noise levels that the innovations would move below what is allowed: the covariance may be too large.

@@ -7,7 +7,7 @@ use crate::health::Divergence;
 use crate::linear_algebra::dependence::Dependence;
 use crate::map_update::map_fix::ImuMotion;
 use crate::motion::AngularRate;
-use crate::propagation::{IMU_DIM, MotionEstimate, Propagation};
+use crate::propagation::{IMU_DIM, MotionEstimate, Propagation, noise_of_a_guess};
 use crate::rolling_shutter::motion_around::TimedPoses;
 use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
 use nalgebra::{Vector3, Vector6};
@@ -33,7 +33,10 @@ impl Estimator {
     /// filter goes on.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
         self.imu.push(sample)?;
-        self.noise.note_reading(&sample);
+        self.repetition.note(&sample, self.noise.do_readings_show_noise());
+        if !self.repetition.repeats() {
+            self.noise.note_reading(&sample);
+        }
         Ok(())
     }
 
@@ -86,7 +89,7 @@ impl Estimator {
         if gap_ns > MAX_GAP_NS {
             return Err(Divergence::MotionUnknown { seconds: gap_ns as f64 * 1e-9 }.into());
         }
-        if gap_ns > FAILURE_GAP_NS {
+        if gap_ns > FAILURE_GAP_NS || self.repetition.is_fault() {
             self.note_odometry_failure();
         }
         if self.config.first_estimates {
@@ -113,6 +116,11 @@ impl Estimator {
         let newest = MotionEstimate::of(&self.state.imu);
         let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
         let noise = self.noise.imu_noise(&self.config.imu_noise);
+        let noise = if self.repetition.is_guess_after(self.state.stamp_ns) {
+            noise_of_a_guess(&noise)
+        } else {
+            noise
+        };
         Propagation::new(&self.state.imu, first, &noise, self.config.gravity)
     }
 

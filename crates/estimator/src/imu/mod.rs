@@ -1,6 +1,7 @@
 //! IMU samples and the buffer that returns those of an interval.
 
 pub mod plausibility;
+pub(crate) mod repetition;
 
 use plausibility::ReadingCheck;
 use smallvec::SmallVec;

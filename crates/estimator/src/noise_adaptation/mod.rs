@@ -57,6 +57,9 @@ const IMU: Adaptation = Adaptation { start: 25.0, floor: 1.0, first_gain: 0.1, l
 const TRACKS: Adaptation = Adaptation { start: 4.0, floor: 0.16, first_gain: 0.1, last_gain: 0.005 };
 const MATCHES: Adaptation = Adaptation { start: 4.0, floor: 1.0, first_gain: 1.0, last_gain: 0.1 };
 
+/// Noise in units of the stated one that a sensor shows at least.
+const LEAST_SHOWN: f64 = 0.1;
+
 /// Noise levels as learned from the innovations; those that are fixed by the settings are as stated there.
 ///
 /// ```
@@ -145,6 +148,13 @@ impl NoiseAdaptation {
         let (shown, stated) = (self.readings.shown(), &self.stated_imu);
         let least = (shown.gyroscope / stated.gyroscope).min(shown.accelerometer / stated.accelerometer);
         self.imu.hold_above(least * least);
+    }
+
+    /// Whether the readings show noise as a sensor's do, and not those of a simulator without any.
+    pub fn do_readings_show_noise(&self) -> bool {
+        let (shown, stated) = (self.readings.shown(), &self.stated_imu);
+        shown.gyroscope > LEAST_SHOWN * stated.gyroscope
+            && shown.accelerometer > LEAST_SHOWN * stated.accelerometer
     }
 
     /// The noise levels that would be learned below what is allowed.
