@@ -28,8 +28,8 @@ pub struct ClonedPose {
     pub local_from_imu: Pose,
     /// Where Jacobians are evaluated: the estimate before the updates with the newest image (`first_estimates`).
     pub first_estimate: Pose,
-    /// Excluded from marginalization because a map query of its image is pending.
-    pub pinned: bool,
+    /// Number of map queries of its image that are pending: as long as there are some it is excluded from marginalization.
+    pub pins: usize,
     /// Motion about the time of the image, for cameras with a rolling shutter.
     pub motion: Option<Arc<MotionAround>>,
 }

@@ -57,7 +57,7 @@ pub fn scene(calibrating: bool) -> Scene {
                 stamp_ns: k as i64,
                 local_from_imu: newest,
                 first_estimate,
-                pinned: false,
+                pins: 0,
                 motion: None,
             }
         })

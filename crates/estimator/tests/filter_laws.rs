@@ -136,7 +136,10 @@ fn a_pinned_clone_survives_the_window_and_an_unpinned_one_does_not() {
     let (kept, lost) = (world.frame(&mut estimator, frame + 1), world.frame(&mut estimator, frame + 2));
     let (kept_answer, lost_answer) =
         (world.answer(frame + 1, frame + 1, 60), world.answer(frame + 2, frame + 2, 70));
+    // By two queries, the first of which is answered at once.
     estimator.pin(kept);
+    estimator.pin(kept);
+    estimator.unpin(kept);
     run(&world, &mut estimator, frame + 3..frame + 13);
     assert_eq!(estimator.map_update(lost, &lost_answer).unwrap().rejection, Some(Rejection::TooLate));
     let report = estimator.map_update(kept, &kept_answer).unwrap();

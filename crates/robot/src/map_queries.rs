@@ -29,6 +29,9 @@ impl Robot<'_> {
             return;
         }
         if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
+            if let Some(estimator) = self.supervisor.estimator_mut() {
+                estimator.pin(clone);
+            }
             // Features of a recording are those of camera 0.
             self.send_query(QueryImage { clone, camera: 0 }, frame.stamp_ns, features.clone());
             return;
@@ -56,15 +59,15 @@ impl Robot<'_> {
         self.initial_pose.update(self.supervisor.estimator_mut(), has_map);
     }
 
+    /// Queries the map about an image whose clone is pinned for it; where that is not possible, it is not any more.
     fn send_query(&mut self, image: QueryImage, stamp_ns: i64, mut features: FeatureSet) {
         let QueryImage { clone, camera } = image;
         self.outputs.each(|output| output.features(stamp_ns, camera, &features));
         let mode = self.supervisor.config().mode;
-        let (Some(queries), Some(estimator), Some(projection)) = (
-            &mut self.map.queries,
-            self.supervisor.estimator_since(stamp_ns),
-            self.query_cameras.camera(camera),
-        ) else {
+        let Some(estimator) = self.supervisor.estimator_since(stamp_ns) else { return };
+        let (Some(queries), Some(projection)) = (&mut self.map.queries, self.query_cameras.camera(camera))
+        else {
+            estimator.unpin(clone);
             return;
         };
         if queries.pending() >= MAX_PENDING_FRAMES * self.settings.query_cameras.max(1) {
@@ -92,7 +95,6 @@ impl Robot<'_> {
             map_version_held: estimator.map_version(),
             max_keyframes,
         };
-        estimator.pin(clone);
         self.report.queries.sent += 1;
         queries.submit(image, request);
     }

@@ -149,7 +149,7 @@ impl Estimator {
             stamp_ns,
             local_from_imu: pose,
             first_estimate: pose,
-            pinned: false,
+            pins: 0,
             motion,
         });
         id
@@ -176,19 +176,18 @@ impl Estimator {
         });
     }
 
-    /// Excludes a clone from marginalization, as long as a map query of its image is pending.
+    /// Excludes a clone from marginalization, as long as a map query of its image is pending: once for each query.
     pub fn pin(&mut self, clone: CloneId) {
-        self.set_pinned(clone, true);
-    }
-
-    /// Ends [`Self::pin`]: the answer was used, or will not come.
-    pub fn unpin(&mut self, clone: CloneId) {
-        self.set_pinned(clone, false);
-    }
-
-    fn set_pinned(&mut self, clone: CloneId, pinned: bool) {
         if let Some(index) = self.state.clone_index(clone) {
-            self.state.clones[index].pinned = pinned;
+            self.state.clones[index].pins += 1;
+        }
+    }
+
+    /// Ends one [`Self::pin`]: the answer was used, or will not come.
+    pub fn unpin(&mut self, clone: CloneId) {
+        if let Some(index) = self.state.clone_index(clone) {
+            let pins = &mut self.state.clones[index].pins;
+            *pins = pins.saturating_sub(1);
         }
     }
 
@@ -199,5 +198,5 @@ impl Estimator {
 
 /// Indices of the clones beyond the window that are not pinned.
 pub(super) fn clones_beyond_window(state: &ActiveState, window: usize) -> impl Iterator<Item = usize> + '_ {
-    (0..state.clones.len().saturating_sub(window)).filter(|&index| !state.clones[index].pinned)
+    (0..state.clones.len().saturating_sub(window)).filter(|&index| state.clones[index].pins == 0)
 }

@@ -231,7 +231,7 @@ mod tests {
                 stamp_ns,
                 local_from_imu: estimated,
                 first_estimate: estimated,
-                pinned: false,
+                pins: 0,
                 motion: None,
             });
         }
