@@ -258,3 +258,21 @@ fn nonsense_is_left_out_within_a_second() {
         assert!(rms_error_m(trial) < rms_error_m(without) + 0.1);
     }
 }
+
+/// A dead encoder, and speeds of the rim for those of the axle, from the start.
+#[test]
+fn nonsense_from_the_start_is_never_used() {
+    for factors in [[0.0, 1.0, 1.0, 1.0], [0.1; 4]] {
+        let mut wheels = WheelOptions::new(stated());
+        wheels.slips = vec![Slip { from_s: 0.0, to_s: 1e9, factors }];
+        let variants = [odometry("without", None), odometry("nonsense", Some(stated()))];
+        let all = runs(3, 20.0, Tracks::Few, &wheels, &variants);
+        for (without, trial) in all[0].trials.iter().zip(&all[1].trials) {
+            assert_eq!(trial.diverged, None);
+            let [alone, with] = [without, trial].map(rms_error_m);
+            println!("{factors:?}: {with:.3} m, without wheels {alone:.3} m, {:?}", trial.wheels_left_out_s);
+            assert!(trial.wheels_left_out_s.is_some_and(|seconds| seconds < 6.0));
+            assert!((with - alone).abs() < 1e-9, "{with} m for {alone} m");
+        }
+    }
+}

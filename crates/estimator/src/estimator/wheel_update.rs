@@ -5,12 +5,16 @@ use crate::error::EstimatorError;
 use crate::state::Block;
 use crate::wheels::buffer::BadWheelReading;
 use crate::wheels::calibration::WheelCalibration;
+use crate::wheels::kinematics::ways_of_wheels;
 use crate::wheels::linearization::{ClonesAround, TimedPose, linearize};
 use crate::wheels::measurement::{Part, WheelMeasurement};
 use crate::wheels::preintegration::{PlanarMotion, preintegrate};
 use crate::wheels::report::{LearnedWheels, WheelReport};
 use crate::wheels::{DueInterval, TimedClone, WheelOdometry};
 use types::WheelReading;
+
+/// Speed of a wheel below which it stands still, m/s.
+const REST_M_S: f64 = 0.05;
 
 impl Estimator {
     /// Stores a reading of the wheels for the next [`Self::time_update`]. Readings come in the order of time, and an interval
@@ -73,9 +77,12 @@ impl Estimator {
         let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
         let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
         let residual_m = measurement.residual_of_wheels(&calibration.base);
+        let rest_m = REST_M_S * motion.seconds;
+        let ways_m = ways_of_wheels(&calibration.base, &motion.motion);
+        let is_moving = ways_m.iter().chain(&residual_m).any(|way| way.abs() > rest_m);
         let (is_trusted, is_faulty) = (wheels.watch.is_trusted(), wheels.watch.fault().is_some());
         let is_accepted = self.update_part(wheels, &measurement, Part::Rolling, is_trusted)?;
-        wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m);
+        wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m, is_moving);
         let counts = &mut wheels.counts;
         counts.left_out += usize::from(is_faulty);
         counts.used += usize::from(is_trusted && is_accepted);

@@ -2,7 +2,8 @@
 //!
 //! A wheel that slips contradicts the state for a moment: its interval is rejected and counted. Wheels whose intervals are
 //! rejected for most of a second are left out until they agree again for two. Nor are they used before they have agreed for most of
-//! the first second: a velocity that is hardly known yet passes any test, and nonsense would become its value.
+//! a second of motion: a velocity that is hardly known yet passes any test, and nonsense would become its value. Standing
+//! still they agree whatever is wrong with encoders and units.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -83,8 +84,8 @@ struct Tested {
 pub struct WheelWatch {
     base: BaseKind,
     tested: VecDeque<Tested>,
-    /// Whether they have agreed for a while.
-    has_agreed: bool,
+    /// For how long they have agreed in motion, less the time in which they have not; until it is enough, nanoseconds.
+    agreed_ns: i64,
     contradicts: Option<Wheel>,
     /// Since when there are no usable readings, nanoseconds.
     missing_since_ns: Option<i64>,
@@ -97,7 +98,7 @@ impl WheelWatch {
         Self {
             base,
             tested: VecDeque::new(),
-            has_agreed: false,
+            agreed_ns: 0,
             contradicts: None,
             missing_since_ns: None,
             silent_s: None,
@@ -109,7 +110,14 @@ impl WheelWatch {
     /// # Arguments
     /// * `span_ns`: begin and end, nanoseconds.
     /// * `residual_m`: of each wheel, metres.
-    pub fn note(&mut self, span_ns: [i64; 2], is_accepted: bool, residual_m: [f64; MAX_WHEELS]) {
+    /// * `is_moving`: whether the wheels or the state move.
+    pub fn note(
+        &mut self,
+        span_ns: [i64; 2],
+        is_accepted: bool,
+        residual_m: [f64; MAX_WHEELS],
+        is_moving: bool,
+    ) {
         let [from_ns, to_ns] = span_ns;
         (self.missing_since_ns, self.silent_s) = (None, None);
         self.tested.push_back(Tested { from_ns, to_ns, is_accepted, squares: residual_m.map(|r| r * r) });
@@ -117,9 +125,10 @@ impl WheelWatch {
         while self.tested.front().is_some_and(|oldest| to_ns - oldest.from_ns > window_ns) {
             self.tested.pop_front();
         }
-        self.has_agreed = self.has_agreed
-            || self.covered_ns(|_| true) >= MIN_SPAN_NS as f64
-                && self.part(|tested| tested.is_accepted) >= MOST;
+        if is_moving && !self.has_agreed() {
+            let change_ns = if is_accepted { to_ns - from_ns } else { from_ns - to_ns };
+            self.agreed_ns = (self.agreed_ns + change_ns).max(0);
+        }
         match self.contradicts {
             None if self.covered_ns(|tested| !tested.is_accepted) > MIN_SPAN_NS as f64 * MOST
                 && self.covered_ns(|_| true) >= MIN_SPAN_NS as f64
@@ -149,7 +158,11 @@ impl WheelWatch {
 
     /// Whether intervals that pass their test are used.
     pub fn is_trusted(&self) -> bool {
-        self.has_agreed && self.contradicts.is_none()
+        self.has_agreed() && self.contradicts.is_none()
+    }
+
+    fn has_agreed(&self) -> bool {
+        self.agreed_ns >= MIN_SPAN_NS
     }
 
     /// Why the wheels are left out.
@@ -197,7 +210,7 @@ mod tests {
     fn noted(watch: &mut WheelWatch, begin: i64, intervals: impl Iterator<Item = bool>) -> i64 {
         let mut next = begin;
         for is_accepted in intervals {
-            watch.note([next * STEP_NS, (next + 1) * STEP_NS], is_accepted, [0.02, 0.001, 0.0, 0.0]);
+            watch.note([next * STEP_NS, (next + 1) * STEP_NS], is_accepted, [0.02, 0.001, 0.0, 0.0], true);
             next += 1;
         }
         next
@@ -233,6 +246,19 @@ mod tests {
         assert!(watch.is_trusted() && watch.fault().is_none());
         let mut watch = WheelWatch::new(BaseKind::Differential);
         noted(&mut watch, 0, (0..15).map(|_| true));
+        assert!(watch.is_trusted());
+    }
+
+    #[test]
+    fn standing_still_is_no_agreement() {
+        let mut watch = WheelWatch::new(BaseKind::Differential);
+        for k in 0..100 {
+            watch.note([k * STEP_NS, (k + 1) * STEP_NS], true, [0.0; 4], false);
+        }
+        assert!(!watch.is_trusted());
+        let now = noted(&mut watch, 100, (0..30).map(|k| k % 3 == 0));
+        assert!(!watch.is_trusted(), "they pass now and then");
+        noted(&mut watch, now, (0..60).map(|_| true));
         assert!(watch.is_trusted());
     }
 
