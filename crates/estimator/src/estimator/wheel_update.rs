@@ -5,16 +5,12 @@ use crate::error::EstimatorError;
 use crate::state::Block;
 use crate::wheels::buffer::BadWheelReading;
 use crate::wheels::calibration::WheelCalibration;
-use crate::wheels::kinematics::ways_of_wheels;
 use crate::wheels::linearization::{ClonesAround, TimedPose, linearize};
 use crate::wheels::measurement::{Part, WheelMeasurement};
 use crate::wheels::preintegration::{PlanarMotion, preintegrate};
 use crate::wheels::report::{LearnedWheels, WheelReport};
 use crate::wheels::{DueInterval, TimedClone, WheelOdometry};
 use types::WheelReading;
-
-/// Speed of a wheel below which it stands still, m/s.
-const REST_M_S: f64 = 0.05;
 
 impl Estimator {
     /// Stores a reading of the wheels for the next [`Self::time_update`]. Readings come in the order of time, and an interval
@@ -62,6 +58,13 @@ impl Estimator {
             && let Some(due) = wheels.next_due(calibration.time_offset_s)
         {
             done = self.wheel_update(&mut wheels, &due, &calibration);
+            if !wheels.watch.is_trusted() {
+                wheels.keep(due);
+                continue;
+            }
+            for kept in std::mem::take(&mut wheels.untried) {
+                done = done.and_then(|()| self.use_interval(&mut wheels, &kept, &calibration));
+            }
         }
         self.wheels = Some(wheels);
         done
@@ -77,18 +80,45 @@ impl Estimator {
         let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
         let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
         let residual_m = measurement.residual_of_wheels(&calibration.base);
-        let rest_m = REST_M_S * motion.seconds;
-        let ways_m = ways_of_wheels(&calibration.base, &motion.motion);
-        let is_moving = ways_m.iter().chain(&residual_m).any(|way| way.abs() > rest_m);
+        let is_telling = !wheels.watch.has_agreed() && self.is_telling(wheels, &measurement, &motion)?;
         let (is_trusted, is_faulty) = (wheels.watch.is_trusted(), wheels.watch.fault().is_some());
         let is_accepted = self.update_part(wheels, &measurement, Part::Rolling, is_trusted)?;
-        wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m, is_moving);
+        wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m, is_telling);
         let counts = &mut wheels.counts;
         counts.left_out += usize::from(is_faulty);
         counts.used += usize::from(is_trusted && is_accepted);
         counts.slipped += usize::from(is_trusted && !is_accepted);
-        if is_trusted && let Some(again) = self.wheel_measurement(wheels, due, &motion) {
-            let is_accepted = self.update_part(wheels, &again, Part::OffTrack, true)?;
+        if is_trusted {
+            self.off_track_update(wheels, due, &motion)?;
+        }
+        Ok(())
+    }
+
+    /// Uses an interval that was tested before the wheels had agreed; where its clones are gone, it cannot be.
+    fn use_interval(
+        &mut self,
+        wheels: &mut WheelOdometry,
+        due: &DueInterval,
+        calibration: &WheelCalibration,
+    ) -> Result<(), EstimatorError> {
+        let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
+        let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
+        if self.update_part(wheels, &measurement, Part::Rolling, true)? {
+            wheels.counts.used += 1;
+            self.off_track_update(wheels, due, &motion)?;
+        }
+        Ok(())
+    }
+
+    /// That the base moves on the floor, and ahead.
+    fn off_track_update(
+        &mut self,
+        wheels: &mut WheelOdometry,
+        due: &DueInterval,
+        motion: &PlanarMotion,
+    ) -> Result<(), EstimatorError> {
+        if let Some(measurement) = self.wheel_measurement(wheels, due, motion) {
+            let is_accepted = self.update_part(wheels, &measurement, Part::OffTrack, true)?;
             wheels.counts.off_track += usize::from(!is_accepted);
         }
         Ok(())
@@ -114,6 +144,18 @@ impl Estimator {
         let noise = &wheels.config.noise;
         let motion = preintegrate(&due.readings, calibration, noise)?;
         linearize(&motion, &due.readings, &clones, calibration, noise)
+    }
+
+    /// Whether wheels that report half of the motion would fail the test.
+    fn is_telling(
+        &mut self,
+        wheels: &mut WheelOdometry,
+        measurement: &WheelMeasurement,
+        motion: &PlanarMotion,
+    ) -> Result<bool, EstimatorError> {
+        let rows = &mut wheels.rows;
+        let is_valid = measurement.of_half_the_motion(motion).whiten(Part::Rolling, rows);
+        Ok(is_valid && !wheels.gate.accepts(self.covariance.nis(rows)?, rows.residual.len()))
     }
 
     fn wheel_measurement(

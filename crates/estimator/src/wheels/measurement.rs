@@ -146,6 +146,14 @@ impl WheelMeasurement {
         ways_of_wheels(base, &self.residual.xyz())
     }
 
+    /// The same measurement of wheels that report half of the expected motion.
+    pub fn of_half_the_motion(&self, motion: &PlanarMotion) -> Self {
+        let mut of_half = self.clone();
+        let expected = motion.motion - self.residual.xyz();
+        of_half.residual.fixed_rows_mut::<3>(0).copy_from(&(-0.5 * expected));
+        of_half
+    }
+
     /// One part of the measurement, whitened, into `rows`; `false` where its covariance is not positive definite.
     pub fn whiten(&self, part: Part, rows: &mut LinearizedMeasurement) -> bool {
         match (part, self.moves_sideways) {

@@ -28,6 +28,7 @@ use buffer::{Interval, WheelBuffer, WheelInterval};
 use config::WheelConfig;
 use report::WheelCounts;
 use std::collections::VecDeque;
+use types::push_newest;
 use watch::WheelWatch;
 
 /// Readings that are later than this behind an image are not waited for, nanoseconds.
@@ -36,6 +37,9 @@ const MAX_DELAY_NS: i64 = 500_000_000;
 const MAX_INTERVAL_NS: i64 = 2_000_000_000;
 /// Readings are kept for so long before the oldest image that waits, nanoseconds: the estimated time offset changes.
 const KEPT_NS: i64 = 100_000_000;
+
+/// Intervals that are kept until wheels are used: more than a window has.
+const MAX_UNTRIED: usize = 32;
 
 /// A clone, and its time by the clock of the IMU.
 #[derive(Clone, Copy, Debug)]
@@ -68,6 +72,8 @@ pub(crate) struct WheelOdometry {
     clones: VecDeque<TimedClone>,
     /// The clone before the first of them.
     before: Option<TimedClone>,
+    /// The newest intervals that were tested while wheels are not used.
+    pub(crate) untried: VecDeque<DueInterval>,
 }
 
 impl WheelOdometry {
@@ -82,7 +88,13 @@ impl WheelOdometry {
             rows: LinearizedMeasurement::default(),
             clones: VecDeque::new(),
             before: None,
+            untried: VecDeque::new(),
         }
+    }
+
+    /// Keeps an interval that was tested before wheels are used, for when they are.
+    pub(crate) fn keep(&mut self, due: DueInterval) {
+        push_newest(&mut self.untried, due, MAX_UNTRIED);
     }
 
     /// Takes in a new clone.

@@ -1,9 +1,9 @@
 //! Slip, and wheels that report nonsense.
 //!
 //! A wheel that slips contradicts the state for a moment: its interval is rejected and counted. Wheels whose intervals are
-//! rejected for most of a second are left out until they agree again for two. Nor are they used before they have agreed for most of
-//! a second of motion: a velocity that is hardly known yet passes any test, and nonsense would become its value. Standing
-//! still they agree whatever is wrong with encoders and units.
+//! rejected for most of a second are left out until they agree again for two. Nor are they used before they have agreed for a
+//! quarter of a second in which wheels that report half of the motion would not have: a velocity that is hardly known yet passes any
+//! test, as standing still does, and nonsense would become its value.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -13,6 +13,8 @@ use types::{BaseKind, MAX_WHEELS};
 const WINDOW_NS: i64 = 1_000_000_000;
 /// Time that the intervals of it must cover before wheels are left out, nanoseconds.
 const MIN_SPAN_NS: i64 = 750_000_000;
+/// Time in which wheels must have agreed before they are used, where nonsense would not have, nanoseconds.
+const AGREED_NS: i64 = 250_000_000;
 /// Time over which wheels that were left out must agree, nanoseconds.
 const AGAIN_NS: i64 = 2_000_000_000;
 /// Part of the time in which the intervals must be rejected, or must agree.
@@ -84,7 +86,7 @@ struct Tested {
 pub struct WheelWatch {
     base: BaseKind,
     tested: VecDeque<Tested>,
-    /// For how long they have agreed in motion, less the time in which they have not; until it is enough, nanoseconds.
+    /// For how long they have agreed where that tells something, less the time in which they have not; until it is enough, nanoseconds.
     agreed_ns: i64,
     contradicts: Option<Wheel>,
     /// Since when there are no usable readings, nanoseconds.
@@ -110,13 +112,13 @@ impl WheelWatch {
     /// # Arguments
     /// * `span_ns`: begin and end, nanoseconds.
     /// * `residual_m`: of each wheel, metres.
-    /// * `is_moving`: whether the wheels or the state move.
+    /// * `is_telling`: whether wheels that report something else would have failed the test.
     pub fn note(
         &mut self,
         span_ns: [i64; 2],
         is_accepted: bool,
         residual_m: [f64; MAX_WHEELS],
-        is_moving: bool,
+        is_telling: bool,
     ) {
         let [from_ns, to_ns] = span_ns;
         (self.missing_since_ns, self.silent_s) = (None, None);
@@ -125,7 +127,7 @@ impl WheelWatch {
         while self.tested.front().is_some_and(|oldest| to_ns - oldest.from_ns > window_ns) {
             self.tested.pop_front();
         }
-        if is_moving && !self.has_agreed() {
+        if is_telling && !self.has_agreed() {
             let change_ns = if is_accepted { to_ns - from_ns } else { from_ns - to_ns };
             self.agreed_ns = (self.agreed_ns + change_ns).max(0);
         }
@@ -161,8 +163,9 @@ impl WheelWatch {
         self.has_agreed() && self.contradicts.is_none()
     }
 
-    fn has_agreed(&self) -> bool {
-        self.agreed_ns >= MIN_SPAN_NS
+    /// Whether they have agreed for long enough in intervals that tell.
+    pub fn has_agreed(&self) -> bool {
+        self.agreed_ns >= AGREED_NS
     }
 
     /// Why the wheels are left out.
@@ -250,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn standing_still_is_no_agreement() {
+    fn passing_a_test_that_anything_passes_is_no_agreement() {
         let mut watch = WheelWatch::new(BaseKind::Differential);
         for k in 0..100 {
             watch.note([k * STEP_NS, (k + 1) * STEP_NS], true, [0.0; 4], false);
