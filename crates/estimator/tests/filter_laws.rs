@@ -103,7 +103,9 @@ fn a_rejected_answer_changes_nothing_now_or_later() {
         run(&world, &mut estimator, 1..7);
         (world, estimator, 6)
     };
-    for (world, mut estimator, frame) in [fresh(), localized(EstimatorConfig::default())] {
+    for is_localized in [false, true] {
+        let (world, mut estimator, frame) =
+            if is_localized { localized(EstimatorConfig::default()) } else { fresh() };
         let clone = world.frame(&mut estimator, frame + 1);
         let mut untouched = estimator.clone();
         let mut wrong = world.answer(frame + 1, frame + 1, 70);

@@ -107,14 +107,8 @@ pub async fn publish(
         if former.digest == digest {
             return Ok(Outcome::Unchanged { number: former.number });
         }
-        let lost = SessionDifference::between(&former.map.sessions, &contents.info.sessions).removed;
-        if let (Some(first), false) = (lost.first(), options.may_lose_sessions) {
-            return Err(ReleaseError::LosesSessions {
-                place: store.place().to_owned(),
-                number: former.number,
-                sessions: lost.len(),
-                first: first.name.clone(),
-            });
+        if !options.may_lose_sessions {
+            ensure_keeps_sessions(store, former, &contents)?;
         }
     }
     let mut partition = former
@@ -194,6 +188,22 @@ pub async fn publish(
         None => store.put_release(&release).await?,
     }
     Ok(Outcome::Published(Box::new(Published { release, sent, bytes_sent })))
+}
+
+/// Refuses a map that lacks sessions of the newest release.
+fn ensure_keeps_sessions(
+    store: &ReleaseStore,
+    newest: &Release,
+    contents: &MapContents,
+) -> Result<(), ReleaseError> {
+    let lost = SessionDifference::between(&newest.map.sessions, &contents.info.sessions).removed;
+    let Some(first) = lost.first() else { return Ok(()) };
+    Err(ReleaseError::LosesSessions {
+        place: store.place().to_owned(),
+        number: newest.number,
+        sessions: lost.len(),
+        first: first.name.clone(),
+    })
 }
 
 /// Publishes the map of a former release again, as the newest one.

@@ -249,7 +249,9 @@ mod tests {
             [|at| *at *= 1e-3, |at| at.swap_rows(0, 1), |at| *at = Vector3::new(1.0, 2.0, 3.0)];
         for kind in kinds {
             let mut wrong = drive(3, 0);
-            wrong.iter_mut().for_each(|one| kind(&mut one.in_global));
+            for one in &mut wrong {
+                kind(&mut one.in_global);
+            }
             let found = align(&wrong, 0.1, 1e-3, &known());
             assert_eq!(found.err(), Some(Unaligned::Misfit));
         }
