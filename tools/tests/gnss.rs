@@ -57,6 +57,18 @@ fn positions_in_a_folder_localize_a_run_without_a_map() {
     assert!(found["score"]["pose"].is_object());
     assert!(found["final_status"]["reason"].as_str().unwrap().contains("GNSS corrected the pose"));
 
+    // In millimetres they are of no use, and that is said.
+    let mut table = "#timestamp [ns],x [m],y [m],z [m],sigma_x,sigma_y,sigma_z\n".to_owned();
+    for (stamp_ns, position) in &positions {
+        let [x, y, z] = position.map(|metres| 1e3 * metres);
+        let _ = writeln!(table, "{stamp_ns},{x},{y},{z},0.3,0.3,0.3");
+    }
+    std::fs::write(gnss.join("data.csv"), table).unwrap();
+    let wrong = summary(&scratch, "", "millimetres");
+    assert_eq!((&wrong["gnss"]["initializations"], &wrong["gnss"]["used"]), (&0.into(), &0.into()));
+    let alarm = wrong["alarms"][0]["reason"].as_str().unwrap();
+    assert!(alarm.contains("do not follow the odometry"), "{alarm}");
+
     // The same in degrees.
     let radius = 6.38e6_f64;
     let mut table = "#timestamp [ns],latitude [deg],longitude [deg],altitude [m]\n".to_owned();

@@ -116,7 +116,10 @@ fn half_of_a_place_that_is_missing_is_refused(town: &Town) {
     let [maps, truth, unknown] = gates(town, &review);
     assert!(maps.contains(&"--max-emptied"), "{maps:?}");
     for drive in [truth, unknown] {
-        assert!(drive.contains(&"--min-accepted") && drive.contains(&"--max-first-fix-s"), "{drive:?}");
+        assert!(
+            drive.contains(&"--min-accepted") && drive.contains(&"--max-map-initialization-s"),
+            "{drive:?}"
+        );
     }
 }
 

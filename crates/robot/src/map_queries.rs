@@ -213,7 +213,7 @@ impl Robot<'_> {
                 let after = estimator.local_from_imu();
                 self.outputs.each(|output| output.correct(&before, &after));
                 event.note_report(&report);
-                self.report.note_first_fix(&report);
+                self.report.note_map_initialization(&report);
                 self.query_cameras.note_answer(camera, report.rejection.is_none());
                 if report.rejection.is_none() {
                     self.initial_pose.answered(estimator, result.token, request.stamp_ns);

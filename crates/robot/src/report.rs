@@ -141,7 +141,7 @@ impl RunReport {
     }
 
     /// Counts what an answer did to the hypotheses about the first pose in the map.
-    pub(crate) fn note_first_fix(&mut self, report: &MapReport) {
+    pub(crate) fn note_map_initialization(&mut self, report: &MapReport) {
         let waits = matches!(report.rejection, Some(Rejection::NotDistinctive(_)));
         self.queries.kept_waiting += u64::from(waits);
         self.queries.hypotheses_dropped += report.hypotheses_dropped as u64;

@@ -113,7 +113,7 @@ impl BenchmarkReport {
         };
         let _ = writeln!(
             text,
-            "\nErrors of the pose in the map at the time of each image (causal), from 5 s after the first fix on. {compared} NEES: \
+            "\nErrors of the pose in the map at the time of each image (causal), from 5 s after the map initialization on. {compared} NEES: \
              1 is consistent, more is overconfident. The odometry is aligned in yaw and position over the whole run."
         );
         text

@@ -124,7 +124,7 @@ fn print(review: &Review) {
                 figures.cold.localized,
                 figures.cold.images,
                 figures.cold.wrong,
-                figures.cold.first_fix_p95_s
+                figures.cold.map_initialization_p95_s
             );
         }
     }

@@ -93,9 +93,9 @@ pub struct ColdFigures {
     /// Those that could be of several places.
     pub ambiguous: usize,
     /// Time from an image to the first one that is localized (s): the median over all images. Where none follows, that to the end.
-    pub first_fix_median_s: f64,
+    pub map_initialization_median_s: f64,
     /// The same, below which 95 % are.
-    pub first_fix_p95_s: f64,
+    pub map_initialization_p95_s: f64,
     /// Images after which none was localized.
     pub without_fix: usize,
 }
@@ -175,8 +175,8 @@ impl ColdFigures {
         let quantile =
             |part: f64| waits_s.get(((waits_s.len() as f64 * part) as usize).min(waits_s.len() - 1));
         if !waits_s.is_empty() {
-            figures.first_fix_median_s = quantile(0.5).copied().unwrap_or_default();
-            figures.first_fix_p95_s = quantile(0.95).copied().unwrap_or_default();
+            figures.map_initialization_median_s = quantile(0.5).copied().unwrap_or_default();
+            figures.map_initialization_p95_s = quantile(0.95).copied().unwrap_or_default();
         }
         figures
     }

@@ -28,8 +28,8 @@ pub struct Gates {
     #[arg(long, value_name = "N", default_value_t = Self::DEFAULT.max_wrong, help_heading = GATES)]
     pub max_wrong: usize,
     /// The first pose from cold may come so much later (95 % of the images), s
-    #[arg(long, value_name = "SECONDS", default_value_t = Self::DEFAULT.max_first_fix_s, help_heading = GATES)]
-    pub max_first_fix_s: f64,
+    #[arg(long, value_name = "SECONDS", default_value_t = Self::DEFAULT.max_map_initialization_s, help_heading = GATES)]
+    pub max_map_initialization_s: f64,
     /// This part more of the images, and of the map's views, may look like several places
     #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_ambiguous, help_heading = GATES)]
     pub max_ambiguous: f64,
@@ -50,7 +50,7 @@ impl Gates {
         max_nees: 2.0,
         max_disagreement_m: 0.1,
         max_wrong: 0,
-        max_first_fix_s: 2.0,
+        max_map_initialization_s: 2.0,
         max_ambiguous: 0.05,
         max_unexplained: 0.01,
         max_emptied: 0.05,
@@ -181,10 +181,11 @@ impl Gates {
                 ),
             );
         }
-        if candidate.first_fix_p95_s > live.first_fix_p95_s + self.max_first_fix_s {
-            refusals.add("--max-first-fix-s", format!(
+        if candidate.map_initialization_p95_s > live.map_initialization_p95_s + self.max_map_initialization_s
+        {
+            refusals.add("--max-map-initialization-s", format!(
                 "a robot that starts is localized within {:.1} s (95 %), {:.1} s in the live map; {} of {} images are localized, {} in the live map",
-                candidate.first_fix_p95_s, live.first_fix_p95_s, candidate.localized, candidate.images, live.localized
+                candidate.map_initialization_p95_s, live.map_initialization_p95_s, candidate.localized, candidate.images, live.localized
             ));
         }
         let [ambiguous, of_live] =

@@ -126,7 +126,7 @@ fn drive_rows(live: &DriveFigures, candidate: &DriveFigures) -> Vec<[String; 3]>
         cold("in a wrong place", &|cold| cold.wrong.to_string()),
         cold("ambiguous", &|cold| cold.ambiguous.to_string()),
         cold("first pose from cold, s: median, 95 %", &|cold| {
-            format!("{:.1}, {:.1}", cold.first_fix_median_s, cold.first_fix_p95_s)
+            format!("{:.1}, {:.1}", cold.map_initialization_median_s, cold.map_initialization_p95_s)
         }),
     ]
 }

@@ -3,8 +3,8 @@
 use super::Estimator;
 use crate::KeyframeId;
 use crate::linear_algebra::dense::Dense;
-use crate::map_update::first_fix::{Decision, Fix, FixedPose};
 use crate::map_update::map_answer::MapAnswer;
+use crate::map_update::map_initializer::{Decision, Fix, FixedPose};
 use crate::map_update::map_measurement::Linearization;
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::solved_pose::{linearize_solved_pose, median_depth, solved_covariance};
@@ -54,7 +54,7 @@ impl Estimator {
     /// * `global_from_imu`: where the IMU is now; its covariance says how sure the operator is.
     pub fn expect_pose(&mut self, global_from_imu: &PoseWithCovariance) {
         let local_from_imu = self.state.imu.local_from_imu;
-        self.first_fix.expect(FixedPose::new(global_from_imu, &local_from_imu));
+        self.map_initializer.expect(FixedPose::new(global_from_imu, &local_from_imu));
     }
 
     /// Whether an answer may initialize `global_from_local`: its hypothesis has enough evidence.
@@ -64,7 +64,7 @@ impl Estimator {
     ///
     /// # Errors
     /// [`Rejection::NotDistinctive`]: it waits for more.
-    pub(super) fn admit_first_fix(
+    pub(super) fn admit_map_initialization(
         &mut self,
         local_from_imu: &Pose,
         answer: &MapAnswer,
@@ -77,8 +77,8 @@ impl Estimator {
             pose: FixedPose::new(&global_from_imu, local_from_imu),
             seen: self.seen_place(answer, verified),
         };
-        let decision = self.first_fix.add(answer.map_version, fix);
-        report.hypotheses_dropped += self.first_fix.take_dropped();
+        let decision = self.map_initializer.add(answer.map_version, fix);
+        report.hypotheses_dropped += self.map_initializer.take_dropped();
         match decision {
             Decision::Initialize(evidence) => {
                 self.support = evidence;

@@ -123,7 +123,7 @@ impl Estimator {
             None => {
                 self.note_success();
                 if report.initialized {
-                    self.first_fix.clear();
+                    self.map_initializer.clear();
                 }
                 if self.is_doubted_by(&answer, &report) {
                     self.give_way(clone, &answer, &mut report)?;
@@ -223,7 +223,7 @@ impl Estimator {
         let with_noise = self.with_pnp_noise(answer, &verified, &measured);
         if report.initialized
             && let Err(waiting) =
-                self.admit_first_fix(&local_from_imu, answer, &verified, &with_noise, report)
+                self.admit_map_initialization(&local_from_imu, answer, &verified, &with_noise, report)
         {
             report.initialized = false;
             return Ok(Err(waiting));

@@ -27,9 +27,9 @@ use crate::imu::ImuBuffer;
 use crate::imu::repetition::Repetition;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
-use crate::map_update::first_fix::FirstFix;
 use crate::map_update::map_fix::{MapFix, MapFixes};
 use crate::map_update::map_gravity::MapGravity;
+use crate::map_update::map_initializer::MapInitializer;
 use crate::map_update::map_revision::MapVersion;
 use crate::map_update::map_watch::MapWatch;
 use crate::map_update::place_evidence::PlaceEvidence;
@@ -139,7 +139,7 @@ pub struct Estimator {
     /// Evidence of the answers against it since the last one that agreed.
     against: PlaceEvidence,
     /// What would initialize `global_from_local`.
-    first_fix: FirstFix,
+    map_initializer: MapInitializer,
     map_gravity: MapGravity,
     map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
@@ -229,7 +229,7 @@ impl Estimator {
             newest_fix: None,
             support: PlaceEvidence::default(),
             against: PlaceEvidence::default(),
-            first_fix: FirstFix::default(),
+            map_initializer: MapInitializer::default(),
             map_gravity: MapGravity::default(),
             map_watch: MapWatch::default(),
             last_map_update_ns: None,

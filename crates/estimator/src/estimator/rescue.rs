@@ -9,9 +9,9 @@
 use super::Estimator;
 use crate::error::EstimatorError;
 use crate::initialization::static_init::{InitialState, gravity_aligned, yaw_between};
-use crate::map_update::first_fix::{FixedPose, REQUIRED_ODDS};
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix, worst_sigmas};
+use crate::map_update::map_initializer::{FixedPose, REQUIRED_ODDS};
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_revision::ChangeSize;
 use crate::map_update::place_evidence::SeenPlace;
@@ -98,7 +98,7 @@ impl Estimator {
     /// Odometry failed: what it ties together is no longer evidence.
     pub(super) fn note_odometry_failure(&mut self) {
         self.support.clear();
-        self.first_fix.note_odometry_failure();
+        self.map_initializer.note_odometry_failure();
     }
 
     /// Whether evidence against the state is more than the state has: that of the answers which support it, and at most the odds
@@ -183,7 +183,7 @@ impl Estimator {
                 sigma_rotation: fix.sigma_rotation,
                 sigma_position: fix.sigma_position,
             };
-            self.first_fix.won_by(answer.map_version, newest, self.map_fixes.evidence());
+            self.map_initializer.won_by(answer.map_version, newest, self.map_fixes.evidence());
             self.lost_after = Some(self.map_fixes.len());
             (self.last_map_update_ns, self.last_gnss_update_ns) = (None, None);
             self.support.clear();
@@ -192,7 +192,7 @@ impl Estimator {
             report.rejection = self.update_in_version(clone, answer, report)?.err();
             if report.rejection.is_none() {
                 self.note_success();
-                self.first_fix.clear();
+                self.map_initializer.clear();
             }
             return Ok(());
         }

@@ -3,9 +3,9 @@
 use super::Estimator;
 use crate::gnss::watch::GnssFault;
 use crate::imu::repetition::ImuFault;
-use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_fix::worst_sigmas;
 use crate::map_update::map_gravity::GravityFault;
+use crate::map_update::map_initializer::Waiting;
 use crate::map_update::map_watch::MapDrift;
 use crate::noise_adaptation::{NoiseBound, NoiseFault};
 use crate::wheels::watch::WheelFault;
@@ -148,8 +148,10 @@ impl Estimator {
             }
             (_, Some(rejections), _) => (Localization::Lost, StatusReason::Contradicted { rejections }),
             _ => {
-                let reason =
-                    self.first_fix.waiting().map_or(StatusReason::NoMatchYet, StatusReason::NotDistinctive);
+                let reason = self
+                    .map_initializer
+                    .waiting()
+                    .map_or(StatusReason::NoMatchYet, StatusReason::NotDistinctive);
                 (Localization::OdometryOnly, reason)
             }
         }

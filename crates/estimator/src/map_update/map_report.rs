@@ -1,7 +1,7 @@
 //! Result of a map update.
 
-use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_gravity::GravityFault;
+use crate::map_update::map_initializer::Waiting;
 use crate::map_update::verification::NotVerified;
 
 /// Why an answer of the map did not update the state.

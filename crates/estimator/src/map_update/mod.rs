@@ -1,9 +1,9 @@
 //! Map updates: answers of the map, their verification, linearization and versions.
 
-pub mod first_fix;
 pub mod map_answer;
 pub mod map_fix;
 pub mod map_gravity;
+pub mod map_initializer;
 pub mod map_measurement;
 pub mod map_report;
 pub mod map_revision;

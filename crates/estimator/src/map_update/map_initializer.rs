@@ -77,7 +77,7 @@ struct Hypothesis {
     evidence: PlaceEvidence,
 }
 
-/// How far the evidence for a first fix is.
+/// How far the evidence for a map initialization is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waiting {
     /// Logarithm of the odds of the best hypothesis.
@@ -116,7 +116,7 @@ pub enum Decision {
 
 /// The hypotheses while `global_from_local` is not known, of one version of the map.
 #[derive(Clone, Debug, Default)]
-pub struct FirstFix {
+pub struct MapInitializer {
     map_version: Option<u64>,
     hypotheses: Vec<Hypothesis>,
     /// Where the robot is according to its operator.
@@ -126,7 +126,7 @@ pub struct FirstFix {
     dropped: usize,
 }
 
-impl FirstFix {
+impl MapInitializer {
     /// Adds an answer to the hypothesis that it agrees with, or as a new one.
     pub fn add(&mut self, map_version: u64, fix: Fix) -> Decision {
         if self.map_version != Some(map_version) {
@@ -245,18 +245,18 @@ mod tests {
         }
     }
 
-    fn initializes(first: &mut FirstFix, fix: Fix) -> bool {
+    fn initializes(first: &mut MapInitializer, fix: Fix) -> bool {
         matches!(first.add(1, fix), Decision::Initialize(_))
     }
 
     #[test]
     fn a_distinctive_view_initializes_with_its_first_answer() {
-        assert!(initializes(&mut FirstFix::default(), fix(0.0, 0.0, 4.0)));
+        assert!(initializes(&mut MapInitializer::default(), fix(0.0, 0.0, 4.0)));
     }
 
     #[test]
     fn one_place_of_moderate_evidence_never_initializes_and_three_places_do() {
-        let mut first = FirstFix::default();
+        let mut first = MapInitializer::default();
         assert!((0..100).all(|_| !initializes(&mut first, fix(0.0, 0.0, 0.8))));
         assert!(!initializes(&mut first, fix(3.0, 0.0, 0.8)));
         assert!(initializes(&mut first, fix(6.0, 0.0, 0.8)));
@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn an_alternative_must_be_worse_by_the_same_ratio() {
-        let mut first = FirstFix::default();
+        let mut first = MapInitializer::default();
         assert!(!initializes(&mut first, fix(0.0, 5.0, 1.5)));
         assert!(!initializes(&mut first, fix(0.0, 0.0, 3.0)));
         assert!(initializes(&mut first, fix(3.0, 0.0, 2.0)));
@@ -273,7 +273,7 @@ mod tests {
 
     #[test]
     fn negative_evidence_counts_against() {
-        let mut first = FirstFix::default();
+        let mut first = MapInitializer::default();
         assert!(!initializes(&mut first, fix(0.0, 0.0, -2.0)));
         assert!(!initializes(&mut first, fix(3.0, 0.0, 3.0)));
         let waiting = first.waiting().unwrap();
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn what_the_operator_says_decides_between_places_that_look_alike() {
-        let mut first = FirstFix::default();
+        let mut first = MapInitializer::default();
         let mut expected = fix(0.0, 0.0, 0.0).pose;
         expected.global_from_imu.translation.y += 1.0;
         (expected.sigma_position, expected.sigma_rotation) = (0.5, 0.2);
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn answers_from_before_a_failure_of_odometry_count_no_more() {
-        let mut first = FirstFix::default();
+        let mut first = MapInitializer::default();
         assert!(!initializes(&mut first, fix(0.0, 0.0, 1.2)));
         first.note_odometry_failure();
         assert!(!initializes(&mut first, fix(3.0, 0.0, 1.2)));
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn another_version_of_the_map_starts_anew() {
-        let mut first = FirstFix::default();
+        let mut first = MapInitializer::default();
         assert!(!initializes(&mut first, fix(0.0, 0.0, 1.2)));
         assert!(matches!(first.add(2, fix(3.0, 0.0, 1.2)), Decision::Wait(_)));
     }
@@ -319,7 +319,7 @@ mod tests {
         let mut counts = [0; 2];
         for (count, sign) in counts.iter_mut().zip([-1.0, 1.0]) {
             for _ in 0..runs {
-                let mut first = FirstFix::default();
+                let mut first = MapInitializer::default();
                 // Two normal distributions of the score, one standard deviation apart.
                 let mut is_fixed = (0..places).map(|k| {
                     let normal = (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
