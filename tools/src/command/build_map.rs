@@ -383,7 +383,7 @@ fn check_unused(args: &Args) -> anyhow::Result<()> {
     let priors = &args.priors;
     let has_poses = priors.pose_priors.is_some();
     let unused = [
-        ("--gravity", args.gravity.is_some_and(|down| down.normalize().dot(&-Vector3::z()) < 0.9999)),
+        ("--gravity", args.gravity.is_some_and(|down| down.dot(&-Vector3::z()) < 0.9999)),
         ("--no-refine-poses", args.no_refine_poses),
         ("--sigma-theta", args.sigma_theta.is_some() && !has_poses),
         ("--sigma-p", args.sigma_p.is_some() && !priors.are_given()),

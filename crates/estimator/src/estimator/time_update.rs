@@ -33,7 +33,7 @@ impl Estimator {
     /// filter goes on.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
         self.imu.push(sample)?;
-        self.repetition.note(&sample, self.noise.do_readings_show_noise());
+        self.repetition.note(&sample, || self.noise.do_readings_show_noise());
         if !self.repetition.repeats() {
             self.noise.note_reading(&sample);
         }

@@ -77,8 +77,7 @@ impl Estimator {
         due: &DueInterval,
         calibration: &WheelCalibration,
     ) -> Result<(), EstimatorError> {
-        let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
-        let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
+        let Some((motion, measurement)) = self.measured(wheels, due, calibration) else { return Ok(()) };
         let residual_m = measurement.residual_of_wheels(&calibration.base);
         let is_telling = !wheels.watch.has_agreed() && self.is_telling(wheels, &measurement, &motion)?;
         let (is_trusted, is_faulty) = (wheels.watch.is_trusted(), wheels.watch.fault().is_some());
@@ -101,8 +100,7 @@ impl Estimator {
         due: &DueInterval,
         calibration: &WheelCalibration,
     ) -> Result<(), EstimatorError> {
-        let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
-        let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
+        let Some((motion, measurement)) = self.measured(wheels, due, calibration) else { return Ok(()) };
         if self.update_part(wheels, &measurement, Part::Rolling, true)? {
             wheels.counts.used += 1;
             self.off_track_update(wheels, due, &motion)?;
@@ -122,6 +120,18 @@ impl Estimator {
             wheels.counts.off_track += usize::from(!is_accepted);
         }
         Ok(())
+    }
+
+    /// The motion of an interval, and what it measures; `None` where its clones are gone, or readings are missing.
+    fn measured(
+        &self,
+        wheels: &WheelOdometry,
+        due: &DueInterval,
+        calibration: &WheelCalibration,
+    ) -> Option<(PlanarMotion, WheelMeasurement)> {
+        let motion = self.preintegrated(wheels, due, calibration)?;
+        let measurement = self.wheel_measurement(wheels, due, &motion)?;
+        Some((motion, measurement))
     }
 
     /// The motion of an interval, linearized at the clones' motion.

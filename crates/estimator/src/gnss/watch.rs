@@ -108,6 +108,8 @@ impl GnssWatch {
     /// * `in_local`: the antenna in L.
     /// * `metres`: distance of the reading from where it is expected.
     pub(crate) fn note(&mut self, stamp_ns: i64, is_accepted: bool, in_local: &Vector3<f64>, metres: f64) {
+        // `global_from_local` is known, by the map where not by GNSS.
+        self.unaligned = None;
         self.tested.push_back(Tested { stamp_ns, is_accepted });
         while self.tested.front().is_some_and(|oldest| stamp_ns - oldest.stamp_ns > WINDOW_NS) {
             self.tested.pop_front();
@@ -219,6 +221,9 @@ mod tests {
         assert!(watch.is_trusted(), "there is nothing yet to use them for");
         watch.clear();
         assert_eq!(watch.fault(), None);
+        watch.note_unaligned(30_000_000_000, [20.0, 20_000.0]);
+        watch.note(31_000_000_000, true, &Vector3::zeros(), 0.3);
+        assert_eq!(watch.fault(), None, "the map initialized the pose, and positions agree with it");
     }
 
     #[test]

@@ -47,18 +47,21 @@ impl Repetition {
     /// Takes in a reading.
     ///
     /// # Arguments
-    /// * `is_noisy`: whether the readings before show white noise.
-    pub(crate) fn note(&mut self, reading: &ImuSample, is_noisy: bool) {
+    /// * `is_noisy`: whether the readings before show white noise; asked where a row of repetitions begins.
+    pub(crate) fn note(&mut self, reading: &ImuSample, is_noisy: impl FnOnce() -> bool) {
         let repeats = self.newest.is_some_and(|newest| {
             newest.gyroscope == reading.gyroscope && newest.accelerometer == reading.accelerometer
         });
         if repeats {
             self.count += 1;
+            if self.count == 1 {
+                self.is_noisy = is_noisy();
+            }
         } else {
             if !self.is_fault() {
                 self.usual = self.usual.max(self.count);
             }
-            (self.count, self.begin_ns, self.is_noisy) = (0, reading.stamp_ns, is_noisy);
+            (self.count, self.begin_ns) = (0, reading.stamp_ns);
         }
         self.newest = Some(*reading);
         if self.is_guess() {
@@ -114,7 +117,7 @@ mod tests {
     /// For how long the readings repeat at the end, milliseconds, where `of` gives whose values the `k`th has.
     fn fault(is_noisy: bool, of: impl Fn(i64) -> i64) -> Option<i64> {
         let mut repetition = Repetition::default();
-        (0..400).for_each(|k| repetition.note(&reading(k, of(k)), is_noisy));
+        (0..400).for_each(|k| repetition.note(&reading(k, of(k)), || is_noisy));
         repetition.fault().map(|ImuFault::Repeats { seconds }| (seconds * 1e3).round() as i64)
     }
 
@@ -136,12 +139,12 @@ mod tests {
     #[test]
     fn another_reading_ends_it_and_it_does_not_become_usual() {
         let mut repetition = Repetition::default();
-        (0..100).for_each(|k| repetition.note(&reading(k, k.min(50)), true));
+        (0..100).for_each(|k| repetition.note(&reading(k, k.min(50)), || true));
         assert!(repetition.is_fault() && repetition.repeats());
-        repetition.note(&reading(100, 100), true);
+        repetition.note(&reading(100, 100), || true);
         assert!(!repetition.is_guess() && repetition.is_guess_after(490_000_000));
         assert!(!repetition.is_guess_after(495_000_000), "the last one that repeats");
-        (101..140).for_each(|k| repetition.note(&reading(k, 100), true));
+        (101..140).for_each(|k| repetition.note(&reading(k, 100), || true));
         assert!(repetition.is_fault());
     }
 }
