@@ -5,14 +5,14 @@ use anyhow::{Context as _, Result, bail};
 use client::session::{Member, Role, close_session, open_session};
 use client::{SessionOptions, without_secrets};
 use estimator::MapMode;
-use geometry::{Camera, Pose};
+use geometry::Camera;
 use monitoring::{MonitoringServer, start_log};
 use onboard::arguments::{DEFAULT_ROBOT, LiveArguments, Source};
 use onboard::cli::Arguments;
 use onboard::native::{NativeSensors, NativeStreams};
-use onboard::outputs::RosOutput;
+use onboard::outputs::{BaseMount, RosOutput};
 use onboard::ros_camera_info::wait_for_cameras;
-use onboard::ros_mount::wait_for_base;
+use onboard::ros_mount::find_base;
 use onboard::ros_sensors::{RosSensors, RosTopics};
 use onboard::stop::NetworkRuntime;
 use onboard::{
@@ -74,7 +74,7 @@ fn localize() -> Result<()> {
     let input = Input::open(&arguments, &stop, &runtime)?;
     let body = arguments
         .ros
-        .body(arguments.robot.imu_in_base_link, input.imu_from_base(&arguments, &stop, &runtime)?)?;
+        .body(arguments.robot.imu_in_base_link, input.base_mount(&arguments, &stop, &runtime)?)?;
     let map_expected = arguments.robot.map_mode()? != MapMode::Odometry;
     let robot = &arguments.robot;
     let settings = arguments.ros.settings(&body, &robot.robot, map_expected, !is_live, &robot.initial_poses);
@@ -149,24 +149,25 @@ impl Input {
     }
 
     /// Where the robot's frame is on the IMU, as transforms state it; not looked for where nobody needs it.
-    fn imu_from_base(
+    fn base_mount(
         &self,
         arguments: &Arguments,
         stop: &StopSignal,
         runtime: &NetworkRuntime,
-    ) -> Result<Option<Pose>> {
+    ) -> Result<Option<BaseMount>> {
         let is_needed = arguments.ros.ros2 || arguments.robot.record.is_some();
         if !is_needed || arguments.robot.imu_in_base_link.is_some() {
             return Ok(None);
         }
         let base = &arguments.ros.frames.base_link;
         match self {
-            Self::Recording(recording) => Ok(recording.imu_from_base(base)),
+            Self::Recording(recording) => Ok(recording.imu_from_base(base).map(BaseMount::known)),
             Self::Native => Ok(None),
             Self::Ros2(input) => {
                 let RosInput { topics, session, .. } = &**input;
                 let node = arguments.ros.sensor_node();
-                runtime.block_on(wait_for_base(session.clone(), node, &topics.imu, base, stop))
+                let found = find_base(session.clone(), node, &topics.imu, base, stop);
+                Ok(Some(runtime.block_on(found)?))
             }
         }
     }

@@ -169,7 +169,8 @@ fn play(
     // As they are used, by switches and settings.
     calibration.wheels = config.wheels.as_ref().map(wheel_sensor);
     calibration.gnss = config.gnss.as_ref().map(gnss_sensor);
-    let realtime = arguments.realtime || source.live().is_some();
+    let is_live = source.live().is_some();
+    let realtime = arguments.realtime || is_live;
     let mut settings = settings(arguments, config.clone(), masks.clone());
     (settings.cameras, settings.initial, settings.stop) = (cameras, initial, stop.clone());
     // Lent to the robot, which it therefore outlives.
@@ -177,17 +178,18 @@ fn play(
     let mut robot = Robot::new(source, settings)?;
     robot.add_output(arguments.metrics.clone());
     robot.add_output(StatusLine::default());
-    if let Some(ros) = &arguments.ros {
+    let ros = arguments.ros.clone().map(|mut ros| {
         ros.publish_mounting(&calibration.cameras);
-    }
+        ros
+    });
     if let Some(recording) = recording(arguments, calibration, realtime, map.is_some())? {
         robot.add_output(recording);
     }
     if let Some(output) = hand_in(arguments, source_calibration, realtime, map.is_some())? {
         robot.add_output(output);
     }
-    if let Some(ros) = &arguments.ros {
-        robot.add_output(ros.clone());
+    if let Some(ros) = ros {
+        robot.add_output(ros);
     }
     robot.add_output(ZenohOutput::new(arguments.topics.into()));
     if let Some(link) = link {
@@ -197,7 +199,7 @@ fn play(
         }
     }
     // Created before the run: a run whose results cannot be kept is not begun.
-    recorder = Recorder::create(&arguments.out).context("--out")?;
+    recorder = Recorder::create(&arguments.out, arguments.out_limit(is_live)).context("--out")?;
     robot.add_output(&mut recorder);
     let report = robot.run(progress);
     if let Some(reason) = &report.ended_early {

@@ -176,6 +176,28 @@ pub enum BuildError {
         /// Median of the differences (deg).
         difference_deg: f64,
     },
+    /// Reference poses whose positions fit the accelerometer only on other axes.
+    #[error(
+        "the positions of the poses accelerate as the IMU did only when taken as {axes} (correlation {correlation_on_others:.2}, and \
+         {correlation:.2} as they are): give positions and rotations in one right-handed frame"
+    )]
+    ReferencesOnOtherAxes {
+        /// The axes that fit, as `(y, x, -z)`.
+        axes: String,
+        /// Correlation of the accelerations with the axes as given.
+        correlation: f64,
+        /// The same with the others.
+        correlation_on_others: f64,
+    },
+    /// Reference poses whose positions have another scale than the accelerometer.
+    #[error(
+        "the positions of the poses accelerate {scale:.3} times as much as the IMU: check their unit (metres; a trajectory of one \
+         camera has a scale of its own), and the unit of the accelerometer (m/s^2)"
+    )]
+    ReferencesOfOtherScale {
+        /// Accelerations by the positions over those by the accelerometer.
+        scale: f64,
+    },
     /// Hardly any images show one place.
     #[error(
         "only {located} of {images} stereo pairs show a place that an earlier one shows, or the IMU does not cover them: images \

@@ -5,7 +5,7 @@
 //! | images become keyframes as the camera moves | `keyframe_selection`, `reference_poses` |
 //! | features are read, or extracted and matched in stereo | `feature_source`, `stereo_matching` |
 //! | both on another thread while odometry gives the poses | `selected_keyframes` |
-//! | with reference poses: gravity by the recording's IMU; poses that turn otherwise are refused | `reference_gravity`, `gyroscope_check`, `reading_steps` |
+//! | with reference poses: gravity by the recording's IMU; poses that turn or accelerate otherwise are refused | `reference_gravity`, `gyroscope_check`, `accelerometer_check`, `reading_steps` |
 //! | neighbouring keyframes are matched, with the epipolar constraint | `matching` |
 //! | matches are joined into tracks | `tracks` |
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
@@ -36,6 +36,7 @@
 //! `cargo run --release -p driftless-mapping --example build_map`.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod accelerometer_check;
 mod added_features;
 mod aliasing;
 mod assemble;

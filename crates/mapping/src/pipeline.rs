@@ -7,6 +7,7 @@ use adjustment::{Bundle, InverseDepthLandmark, ViewPose, parallel};
 use map::contents::MapContents;
 use sensors::{ReferencePose, Sequence};
 
+use super::accelerometer_check::check_accelerations;
 use super::aliasing::find_aliases;
 use super::assemble;
 use super::camera::Rig;
@@ -53,6 +54,7 @@ pub fn build_map(
 ) -> Result<(MapContents, BuildReport), BuildError> {
     check(options)?;
     check_turns(&sequence.imu_samples, references, options.sigma_theta_rad)?;
+    check_accelerations(&sequence.imu_samples, references)?;
     let mut options = options.clone();
     options.gravity_in_global =
         options.gravity_in_global.or_else(|| gravity_of(&sequence.imu_samples, references));

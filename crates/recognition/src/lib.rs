@@ -60,4 +60,4 @@ pub use place::RecognizedPlace;
 pub use places::VerifiedPlace;
 pub use query::QueryError;
 pub use report::{Candidate, Hypothesis, MAX_HYPOTHESES, SearchReport};
-pub use search::prior_radius;
+pub use search::{is_supported, prior_radius};

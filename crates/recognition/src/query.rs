@@ -121,7 +121,8 @@ impl LoadedMap {
     ///
     /// The pose is estimated from all verified keyframes of the place together. Its covariance contains the pixel noise,
     /// the scatter of the landmarks and the uncertainty of the keyframes. Where the matches show that the camera's focal
-    /// length is wrong by more than 5 %, no pose is given.
+    /// length is wrong by more than 5 %, no pose is given. Nor is one whose odds over a place that looks alike are less than
+    /// [`RecognitionOptions::min_fix_log_odds`], unless a prior that is no wider than the distance of what is seen supports it.
     ///
     /// # Errors
     /// [`QueryError`] where the query cannot be compared with the map.
@@ -184,7 +185,10 @@ impl LoadedMap {
         };
         let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
         let unverified = search.outcome == MatchOutcome::Matched && fix.is_none();
-        let is_ambiguous = fix.is_some() && prior.is_none() && search.log_odds() < options.min_fix_log_odds;
+        let is_ambiguous = fix.as_ref().is_some_and(|fix| {
+            let is_told = |prior| self.is_told_by(prior, &search, &fix.global_from_camera);
+            search.log_odds() < options.min_fix_log_odds && !prior.is_some_and(is_told)
+        });
         let fix = fix.filter(|_| !is_ambiguous);
         let outcome = match search.outcome {
             _ if is_ambiguous => MatchOutcome::Ambiguous,

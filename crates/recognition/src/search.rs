@@ -38,6 +38,8 @@ pub(super) struct Search {
     /// That place in short, or the strongest of those that are ambiguous.
     pub(super) strongest: Option<RecognizedPlace>,
     pub(super) searched_keyframes: usize,
+    /// The place was found among the keyframes near the prior.
+    pub(super) is_near_prior: bool,
     pub(super) candidates: Vec<Candidate>,
     pub(super) hypotheses: Vec<Hypothesis>,
 }
@@ -88,6 +90,14 @@ pub fn prior_radius(prior: &PoseWithCovariance) -> f64 {
     PRIOR_SIGMAS * largest_sigma(prior, 3)
 }
 
+/// Whether a prior pose supports one that was found: it lies within 3 standard deviations of both, in position and rotation.
+pub fn is_supported(found: &PoseWithCovariance, prior: &PoseWithCovariance) -> bool {
+    let sigma = |start: usize| largest_sigma(prior, start).hypot(largest_sigma(found, start));
+    let distance = (found.pose.translation - prior.pose.translation).norm();
+    let angle = found.pose.rotation.angle_to(&prior.pose.rotation);
+    distance <= PRIOR_SIGMAS * sigma(3) && angle <= PRIOR_SIGMAS * sigma(0)
+}
+
 /// The largest standard deviation of a pose's rotation (rad; starts at 0) or position (m; starts at 3).
 fn largest_sigma(prior: &PoseWithCovariance, start: usize) -> f64 {
     let block = prior.covariance.fixed_view::<3, 3>(start, start).into_owned();
@@ -110,7 +120,16 @@ impl LoadedMap {
     ) -> Result<Search, QueryError> {
         let nothing = |outcome| {
             let (place, candidates, hypotheses) = (Vec::new(), Vec::new(), Vec::new());
-            Ok(Search { outcome, place, strongest: None, searched_keyframes: 0, candidates, hypotheses })
+            let (strongest, searched_keyframes, is_near_prior) = (None, 0, false);
+            Ok(Search {
+                outcome,
+                place,
+                strongest,
+                searched_keyframes,
+                is_near_prior,
+                candidates,
+                hypotheses,
+            })
         };
         if self.poses.keyframes.is_empty() {
             return nothing(MatchOutcome::EmptyMap);
@@ -133,7 +152,7 @@ impl LoadedMap {
             let place = self.recognize(&candidates, &mut of_both, &image, &sufficient, options)?;
             if place.outcome == MatchOutcome::Matched {
                 let searched_keyframes = near.iter().filter(|&&near| near).count();
-                return Ok(Search { searched_keyframes, candidates: of_both, ..place });
+                return Ok(Search { searched_keyframes, is_near_prior: true, candidates: of_both, ..place });
             }
         }
         let votes = self.index.vote(descriptors, &self.landmarks.observers, self.poses.keyframes.len())?;
@@ -143,6 +162,13 @@ impl LoadedMap {
         of_both.extend(Candidate::list(self, &candidates, &votes, false));
         let place = self.recognize(&candidates, &mut of_both[of_prior..], &image, &sufficient, options)?;
         Ok(Search { searched_keyframes: self.poses.keyframes.len(), candidates: of_both, ..place })
+    }
+
+    /// Whether a prior tells the place that was found from those that look alike: it was found near the prior, at a pose that the prior
+    /// supports, and the prior is not so wide that another place could be, too.
+    pub(super) fn is_told_by(&self, prior: &PosePrior, search: &Search, found: &PoseWithCovariance) -> bool {
+        let prior = &prior.global_from_camera;
+        search.is_near_prior && is_supported(found, prior) && prior_radius(prior) <= self.viewing_distance()
     }
 
     /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
@@ -261,7 +287,8 @@ impl LoadedMap {
                 place
             }
         };
-        Ok(Search { outcome, place, strongest, searched_keyframes: 0, candidates: Vec::new(), hypotheses })
+        let (searched_keyframes, is_near_prior, candidates) = (0, false, Vec::new());
+        Ok(Search { outcome, place, strongest, searched_keyframes, is_near_prior, candidates, hypotheses })
     }
 
     /// What each place explains of all that it should.

@@ -3,11 +3,13 @@
 use geometry::Pose;
 use map::{Alias, KeyframeAliases, MapContents, MapMetadata};
 use nalgebra::Vector3;
-use protocol::{LocalizeRequest, MapIdentity, MatchOutcome};
+use protocol::{LocalizeRequest, MapIdentity, MatchOutcome, PosePrior};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, RecognitionOptions};
 use testing::{POSTER_LANDMARKS, Place, PlaceOptions};
+
+use crate::common::prior_at;
 
 fn dense_place() -> Place {
     Place::new(&PlaceOptions { keyframes: 12, landmarks: 6000, ..PlaceOptions::default() })
@@ -240,4 +242,30 @@ fn the_odds_of_an_answer_are_smaller_in_a_map_that_looks_like_itself() {
         - ambiguous.places[1].global_from_camera.pose.translation;
     assert!((apart.norm() - 50.0).abs() < 0.5, "{apart}");
     assert!(other.hypotheses[0].log_odds() < report.hypotheses[0].log_odds() - 1.0);
+}
+
+#[test]
+fn odds_that_are_too_small_are_enough_only_where_a_tight_prior_supports_the_pose() {
+    let place = dense_place();
+    let map = LoadedMap::from_contents(place.map.clone()).unwrap();
+    let mut rng = StdRng::seed_from_u64(41);
+    let truth = place.camera_at(8.0, 0.1, 0.0);
+    let mut request = request(&place, &truth, &mut rng, |_| true);
+    // No answer has such odds.
+    let mut options = RecognitionOptions::default();
+    options.min_fix_log_odds = 1e3;
+    let mut outcome = |prior: Option<PosePrior>| {
+        request.prior = prior;
+        let reply = map.localize(&request, &options).unwrap();
+        assert_eq!(reply.fix.is_some(), reply.outcome == MatchOutcome::Matched);
+        reply.outcome
+    };
+    let beside = |metres: f64| place.camera_at(8.0 + metres, 0.1, 0.0);
+    assert_eq!(outcome(None), MatchOutcome::Ambiguous);
+    assert_eq!(outcome(Some(prior_at(beside(0.1), 0.1))), MatchOutcome::Matched);
+    // The place is found near the prior, but not where the prior says.
+    assert_eq!(outcome(Some(prior_at(beside(1.0), 0.1))), MatchOutcome::Ambiguous);
+    assert_eq!(outcome(Some(prior_at(beside(12.0), 0.1))), MatchOutcome::Ambiguous);
+    // Everything is near.
+    assert_eq!(outcome(Some(prior_at(beside(0.1), 100.0))), MatchOutcome::Ambiguous);
 }

@@ -40,35 +40,35 @@ fn ensemble(
 const SEEDS: usize = 8;
 const ALL_SEEDS: usize = 40;
 
-fn all_three_poses(runs: usize, tracks: Tracks) {
+fn all_three_poses(runs: usize, duration_s: f64, tracks: Tracks) {
     let every = AnswerOptions { every_s: 2.0, ..AnswerOptions::default() };
-    is_as_stated(ensemble(runs, 2, loops(3.0, 60.0, tracks), every));
+    is_as_stated(ensemble(runs, 2, loops(3.0, duration_s, tracks), every));
 }
 
 #[test]
 fn nees_of_all_three_poses_is_as_stated() {
-    all_three_poses(SEEDS, Tracks::Few);
+    all_three_poses(SEEDS, 36.0, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn nees_of_all_three_poses_is_as_stated_with_all_seeds() {
-    all_three_poses(ALL_SEEDS, Tracks::All);
+    all_three_poses(ALL_SEEDS, 60.0, Tracks::All);
 }
 
 #[test]
 fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
-    map_initialization_is_as_stated(40.0, Tracks::Few);
+    map_initialization_is_as_stated(24, 40.0, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all tracks, minutes"]
 fn a_map_initialization_is_as_uncertain_as_stated_with_all_tracks() {
-    map_initialization_is_as_stated(60.0, Tracks::All);
+    map_initialization_is_as_stated(ALL_SEEDS, 60.0, Tracks::All);
 }
 
 /// One or two answers a run: only many runs show it.
-fn map_initialization_is_as_stated(duration_s: f64, tracks: Tracks) {
+fn map_initialization_is_as_stated(runs: usize, duration_s: f64, tracks: Tracks) {
     let simulation = SimulationOptions {
         max_tracks: tracks.max(),
         duration_s: Some(duration_s),
@@ -76,7 +76,7 @@ fn map_initialization_is_as_stated(duration_s: f64, tracks: Tracks) {
     };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
-    is_as_stated(ensemble(ALL_SEEDS, 2, simulation, answers));
+    is_as_stated(ensemble(runs, 2, simulation, answers));
 }
 
 fn is_as_stated(score: EnsembleScore) {

@@ -152,12 +152,11 @@ async fn a_robot_is_a_vehicle_from_its_first_message_to_the_end_of_the_bridge() 
     }
     driving.abort();
     running.status("cart7", RobotState::Lost).await;
-    let lost = broker.message("/visualization", |payload| !is_initialized(payload)).await;
+    // On a busy machine the last pose may be too old before the status comes: then there is a velocity still.
+    let is_lost = |payload: &serde_json::Value| !is_initialized(payload) && payload.get("velocity").is_none();
+    let lost = broker.message("/visualization", is_lost).await;
     assert_eq!(faults("visualization", &lost.payload), [""; 0]);
-    assert_eq!(
-        (&lost.payload["agvPosition"]["localizationScore"], lost.payload.get("velocity")),
-        (&0.0.into(), None)
-    );
+    assert_eq!(lost.payload["agvPosition"]["localizationScore"], 0.0);
 
     running.stop().await;
     let offline = broker.message("/connection", |_| true).await;

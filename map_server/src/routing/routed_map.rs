@@ -57,7 +57,7 @@ enum RoutedRequest {
 /// What is needed to find the place of an image.
 struct PlannedSearch {
     features: FeatureSet,
-    has_prior: bool,
+    prior: Option<PosePrior>,
     cells: CellSearch,
 }
 
@@ -95,7 +95,7 @@ impl RoutedMap {
         let search = |features: FeatureSet, prior: Option<PosePrior>| {
             let cells = directory.search(&features, prior.as_ref());
             let cells = cells.map_err(|error| handlers::query_error(&self.name, &error))?;
-            Ok::<_, ErrorReply>(PlannedSearch { features, has_prior: prior.is_some(), cells })
+            Ok::<_, ErrorReply>(PlannedSearch { features, prior, cells })
         };
         let wanted = match kind {
             Kind::Match => {
@@ -201,8 +201,8 @@ impl RoutedMap {
         forwarded: &ForwardedQuery,
         search: PlannedSearch,
     ) -> Result<CellReplies<R>, ErrorReply> {
-        let PlannedSearch { features, has_prior, cells } = search;
-        let asked = CellQuery { directory, forwarded, has_prior };
+        let PlannedSearch { features, prior, cells } = search;
+        let asked = CellQuery { directory, forwarded, prior: prior.as_ref() };
         let mut replies: Vec<R> = self.ask(&asked, &cells.first).await?;
         let outcome = match self.choose(&replies) {
             Ok(at) => return Ok(CellReplies::at(replies, at)),
@@ -240,8 +240,17 @@ impl RoutedMap {
         choose_part(&results, &self.options)
     }
 
+    /// Whether the place that replies show is one that a prior supports.
+    fn is_supported<R: PlaceReply>(&self, prior: Option<&PosePrior>, replies: &[R]) -> bool {
+        let chosen = self.choose(replies).ok().and_then(|at| replies[at].place());
+        let both = prior.zip(chosen);
+        both.is_some_and(|(prior, place)| {
+            recognition::is_supported(&place.global_from_camera, &prior.global_from_camera)
+        })
+    }
+
     /// The replies of cells. Where a cell does not answer there is no answer, since it could be of that cell; only near a prior
-    /// those of the others will do, if one of them shows the place.
+    /// those of the others will do, if one of them shows a place that the prior supports.
     async fn ask<R: PlaceReply>(
         &self,
         asked: &CellQuery<'_>,
@@ -274,7 +283,7 @@ impl RoutedMap {
         }
         let replies: Vec<R> = replies.into_iter().flatten().collect();
         match failure {
-            Some(failure) if !asked.has_prior || self.choose(&replies).is_err() => Err(failure),
+            Some(failure) if !self.is_supported(asked.prior, &replies) => Err(failure),
             _ => Ok(replies),
         }
     }
@@ -284,7 +293,7 @@ impl RoutedMap {
 struct CellQuery<'a> {
     directory: &'a CellDirectory,
     forwarded: &'a ForwardedQuery,
-    has_prior: bool,
+    prior: Option<&'a PosePrior>,
 }
 
 /// What the cells found.

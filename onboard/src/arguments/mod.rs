@@ -48,12 +48,19 @@ pub const DEFAULT_ROBOT: &str = "robot";
 const ESTIMATOR: &str = "Estimator";
 const NOISE: &str = "Noise";
 
+/// Of a robot that runs until somebody stops it, MB: some hours of states at the rate of a camera.
+const LIVE_OUT_LIMIT_MB: u32 = 1000;
+
 /// Switches of the robot.
 #[derive(Args, Clone, Debug)]
 pub struct RobotArguments {
     /// Folder for trajectories, states, events and summary; created if necessary
     #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     pub out: PathBuf,
+    /// Most space of these files, MB: where they reach half of it they are moved to DIR/earlier, in place of what is there, and so is
+    /// what an earlier run left [default: 1000 with live sensors, else none]
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..), help_heading = OUTPUT)]
+    pub out_limit_mb: Option<u32>,
 
     /// Record poses, odometry, transforms, status and queries in an MCAP file, as messages of ROS 2: for Foxglove, PlotJuggler
     /// and `ros2 bag`
@@ -205,6 +212,12 @@ impl RobotArguments {
         }
         let line = [OsStr::new("robot"), OsStr::new("--out"), out.as_os_str()];
         Ok(Defaults::try_parse_from(line)?.robot)
+    }
+
+    /// How many bytes the output folder may have; `None` without a limit.
+    pub(crate) fn out_limit(&self, is_live: bool) -> Option<u64> {
+        let megabytes = self.out_limit_mb.or(is_live.then_some(LIVE_OUT_LIMIT_MB));
+        megabytes.map(|megabytes| u64::from(megabytes) * 1_000_000)
     }
 
     /// How map keyframes are used: by the switch, else by the settings file, else the default.

@@ -1,10 +1,9 @@
 //! Switches of the ROS 2 topics.
 
 use super::ImuInBaseLink;
-use crate::outputs::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
+use crate::outputs::{BaseMount, InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};
-use geometry::Pose;
 use robot::initial_pose::InitialPoses;
 use ros2::NodeOptions;
 
@@ -62,16 +61,16 @@ impl RosArguments {
     ///
     /// # Arguments
     /// * `given`: `--imu-in-base-link`, which comes before what transforms state.
-    /// * `stated`: `imu_from_base` as transforms state it.
+    /// * `stated`: as transforms state it.
     ///
     /// # Errors
     /// A frame of a sensor has the name of one of the robot.
-    pub fn body(&self, given: Option<ImuInBaseLink>, stated: Option<Pose>) -> anyhow::Result<RosBody> {
-        let given = given.map(ImuInBaseLink::imu_from_base);
+    pub fn body(&self, given: Option<ImuInBaseLink>, stated: Option<BaseMount>) -> anyhow::Result<RosBody> {
+        let given = given.map(|given| BaseMount::known(given.imu_from_base()));
         let body = RosBody {
             frames: self.frames.clone(),
             sensor_frames: self.sensor_frames.clone(),
-            imu_from_base: given.or(stated).unwrap_or_default(),
+            mount: given.or(stated).unwrap_or_default(),
         };
         if let Some(name) = body.ambiguous_frame() {
             anyhow::bail!("--sensor-frames and --frames both name {name}: give the sensors other names");
@@ -115,6 +114,7 @@ impl RosArguments {
 mod tests {
     use super::*;
     use clap::Parser;
+    use geometry::Pose;
     use nalgebra::{UnitQuaternion, Vector3};
 
     #[derive(clap::Parser)]
@@ -123,15 +123,21 @@ mod tests {
         ros: RosArguments,
     }
 
+    fn given(line: &[&str]) -> RosArguments {
+        Line::try_parse_from([&["robot"], line].concat()).unwrap().ros
+    }
+
     #[test]
     fn the_switch_comes_before_what_transforms_state() {
-        let given = |line: &[&str]| Line::try_parse_from([&["robot"], line].concat()).unwrap().ros;
         let stated = Pose::new(UnitQuaternion::identity(), Vector3::new(0.1, 0.0, -0.3));
-        assert_eq!(given(&[]).body(None, None).unwrap().imu_from_base, Pose::identity());
-        assert_eq!(given(&[]).body(None, Some(stated)).unwrap().imu_from_base, stated);
+        let mounted = |switch: Option<ImuInBaseLink>, stated: Option<Pose>| {
+            let body = given(&[]).body(switch, stated.map(BaseMount::known));
+            body.unwrap().mount.imu_from_base()
+        };
+        assert_eq!(mounted(None, None), Pose::identity());
+        assert_eq!(mounted(None, Some(stated)), stated);
         let switch: ImuInBaseLink = "-1,0,0,0,0,0".parse().unwrap();
-        let switched = given(&[]).body(Some(switch), Some(stated)).unwrap();
-        assert_eq!(switched.imu_from_base.translation, Vector3::x());
+        assert_eq!(mounted(Some(switch), Some(stated)).translation, Vector3::x());
         assert!(given(&["--sensor-frames", "odom"]).body(None, None).is_err());
     }
 }

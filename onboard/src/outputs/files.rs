@@ -9,6 +9,9 @@
 //!
 //! Buffers are flushed once a second of sensor time: a run that is killed leaves what it had. `summary.json` exists
 //! only if the run ended in good order.
+//!
+//! A robot that drives for weeks, or is started again and again, keeps the folder below a limit: what was there before is moved to its
+//! folder `earlier`, and so are files that have reached half of the limit.
 
 use super::summary::Summary;
 use evaluation::trajectory::states::StateWriter;
@@ -17,6 +20,7 @@ use evaluation::trajectory::{StampedPose, StateKind, StateRow};
 use robot::Event;
 use sensors::SequenceError;
 use std::fs::File;
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
 /// Name of the file with all states.
@@ -24,6 +28,13 @@ pub const STATES: &str = "states.csv";
 /// Name of the file with all queries.
 pub const EVENTS: &str = "events.csv";
 const SUMMARY: &str = "summary.json";
+const TRAJECTORIES: [(StateKind, &str); 3] = [
+    (StateKind::GlobalFromImu, "pose.tum"),
+    (StateKind::LocalFromImu, "odometry.tum"),
+    (StateKind::GlobalFromLocal, "transform.tum"),
+];
+/// Name of the folder with what was written before.
+const EARLIER: &str = "earlier";
 
 /// Sensor time between two flushes, nanoseconds.
 const FLUSH_NS: i64 = 1_000_000_000;
@@ -60,37 +71,39 @@ pub enum OutputError {
 #[derive(Debug)]
 pub(crate) struct OutputFiles {
     folder: PathBuf,
-    trajectories: [(StateKind, TumWriter); 3],
-    states: StateWriter,
-    events: csv::Writer<File>,
+    /// Of all that is kept, bytes; `None` without one.
+    limit: Option<u64>,
+    writers: Writers,
     flushed_ns: Option<i64>,
 }
 
+#[derive(Debug)]
+struct Writers {
+    trajectories: [(StateKind, TumWriter); 3],
+    states: StateWriter,
+    events: csv::Writer<File>,
+}
+
 impl OutputFiles {
-    /// Creates the folder and its files. The summary of an earlier run in the same folder is deleted.
+    /// Creates the folder and its files. The summary of an earlier run in the same folder is deleted; with a limit all that such a run
+    /// left is kept, if it had a pose.
+    ///
+    /// # Arguments
+    /// * `limit`: bytes of all that is kept.
     ///
     /// # Errors
     /// [`OutputError`] with the file.
-    pub(crate) fn create(folder: &Path) -> Result<Self, OutputError> {
+    pub(crate) fn create(folder: &Path, limit: Option<u64>) -> Result<Self, OutputError> {
         std::fs::create_dir_all(folder).map_err(|source| io(folder, source))?;
+        if limit.is_some() && has_poses(&folder.join(TRAJECTORIES[1].1)) {
+            keep_earlier(folder)?;
+        }
         let summary = folder.join(SUMMARY);
         if summary.exists() {
             std::fs::remove_file(&summary).map_err(|source| io(&summary, source))?;
         }
-        let trajectory = |kind, name| TumWriter::create(&folder.join(name)).map(|writer| (kind, writer));
-        let events = folder.join(EVENTS);
-        Ok(Self {
-            folder: folder.to_path_buf(),
-            trajectories: [
-                trajectory(StateKind::GlobalFromImu, "pose.tum")?,
-                trajectory(StateKind::LocalFromImu, "odometry.tum")?,
-                trajectory(StateKind::GlobalFromLocal, "transform.tum")?,
-            ],
-            states: StateWriter::create(&folder.join(STATES))?,
-            events: csv::Writer::from_path(&events)
-                .map_err(|source| OutputError::Events { path: events.clone(), source })?,
-            flushed_ns: None,
-        })
+        let writers = Writers::create(folder)?;
+        Ok(Self { folder: folder.to_path_buf(), limit, writers, flushed_ns: None })
     }
 
     /// Appends the state of a frame.
@@ -98,15 +111,16 @@ impl OutputFiles {
     /// # Errors
     /// [`OutputError`] with the file.
     pub(crate) fn append_state(&mut self, row: &StateRow) -> Result<(), OutputError> {
-        for (kind, writer) in &mut self.trajectories {
+        for (kind, writer) in &mut self.writers.trajectories {
             if let Some(state) = row.get(*kind) {
                 writer.append(&StampedPose { stamp_ns: row.stamp_ns, pose: state.pose })?;
             }
         }
-        self.states.append(row)?;
+        self.writers.states.append(row)?;
         if row.stamp_ns - *self.flushed_ns.get_or_insert(row.stamp_ns) >= FLUSH_NS {
             self.flushed_ns = Some(row.stamp_ns);
             self.flush()?;
+            self.keep_below_limit()?;
         }
         Ok(())
     }
@@ -116,7 +130,7 @@ impl OutputFiles {
     /// # Errors
     /// [`OutputError`] with the file.
     pub(crate) fn append_event(&mut self, event: &Event) -> Result<(), OutputError> {
-        let written = self.events.serialize(event);
+        let written = self.writers.events.serialize(event);
         written.map_err(|source| OutputError::Events { path: self.folder.join(EVENTS), source })
     }
 
@@ -125,10 +139,20 @@ impl OutputFiles {
     /// # Errors
     /// [`OutputError`] with the file.
     pub(crate) fn flush(&mut self) -> Result<(), OutputError> {
-        self.trajectories.iter_mut().try_for_each(|(_, writer)| writer.flush())?;
-        self.states.flush()?;
-        let written = self.events.flush();
+        self.writers.trajectories.iter_mut().try_for_each(|(_, writer)| writer.flush())?;
+        self.writers.states.flush()?;
+        let written = self.writers.events.flush();
         written.map_err(|source| io(&self.folder.join(EVENTS), source))
+    }
+
+    /// Begins new files where these have half of the limit; the other half are the earlier ones.
+    fn keep_below_limit(&mut self) -> Result<(), OutputError> {
+        let is_full = |limit: u64| written(&self.folder).map(|path| bytes(&path)).sum::<u64>() >= limit / 2;
+        if self.limit.is_some_and(is_full) {
+            keep_earlier(&self.folder)?;
+            self.writers = Writers::create(&self.folder)?;
+        }
+        Ok(())
     }
 
     /// Writes the summary.
@@ -142,6 +166,122 @@ impl OutputFiles {
     }
 }
 
+impl Writers {
+    fn create(folder: &Path) -> Result<Self, OutputError> {
+        let [global, local, transform] = TRAJECTORIES.map(|(kind, name)| {
+            let writer = TumWriter::create(&folder.join(name));
+            writer.map(|writer| (kind, writer))
+        });
+        let events = folder.join(EVENTS);
+        Ok(Self {
+            trajectories: [global?, local?, transform?],
+            states: StateWriter::create(&folder.join(STATES))?,
+            events: csv::Writer::from_path(&events)
+                .map_err(|source| OutputError::Events { path: events.clone(), source })?,
+        })
+    }
+}
+
+/// The files that grow.
+fn written(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let names = TRAJECTORIES.into_iter().map(|(_, name)| name).chain([STATES, EVENTS]);
+    names.map(|name| folder.join(name))
+}
+
+/// Whether a trajectory has a pose below its header.
+fn has_poses(trajectory: &Path) -> bool {
+    let file = File::open(trajectory);
+    file.is_ok_and(|file| {
+        let lines = std::io::BufReader::new(file).lines().map_while(Result::ok);
+        lines.skip_while(|line| line.starts_with('#')).any(|line| !line.is_empty())
+    })
+}
+
+/// Size of a file; zero where there is none.
+fn bytes(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |file| file.len())
+}
+
+/// Moves the files of a folder to its folder of earlier ones, in place of those.
+fn keep_earlier(folder: &Path) -> Result<(), OutputError> {
+    let earlier = folder.join(EARLIER);
+    if earlier.exists() {
+        std::fs::remove_dir_all(&earlier).map_err(|source| io(&earlier, source))?;
+    }
+    std::fs::create_dir_all(&earlier).map_err(|source| io(&earlier, source))?;
+    for path in written(folder).chain([folder.join(SUMMARY)]).filter(|path| path.exists()) {
+        let to = earlier.join(path.file_name().unwrap_or_default());
+        std::fs::rename(&path, &to).map_err(|source| io(&to, source))?;
+    }
+    Ok(())
+}
+
 fn io(path: &Path, source: std::io::Error) -> OutputError {
     OutputError::Io { path: path.to_path_buf(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::{Pose, PoseWithCovariance};
+
+    fn row(at: i64) -> StateRow {
+        let local_from_imu = PoseWithCovariance::exact(Pose::identity());
+        StateRow {
+            stamp_ns: at * 100_000_000,
+            local_from_imu,
+            global_from_local: None,
+            global_from_imu: None,
+        }
+    }
+
+    fn all_bytes(folder: &Path) -> u64 {
+        let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        entries.map(|path| if path.is_dir() { all_bytes(&path) } else { bytes(&path) }).sum()
+    }
+
+    fn stamps(folder: &Path) -> Vec<i64> {
+        let states = evaluation::trajectory::states::StateReader::open(&folder.join(STATES)).unwrap();
+        states.map(|row| row.unwrap().stamp_ns / 100_000_000).collect()
+    }
+
+    #[test]
+    fn a_run_without_an_end_stays_below_its_limit_and_has_the_newest_states() {
+        let folder = tempfile::tempdir().unwrap();
+        let limit = 200_000;
+        let mut files = OutputFiles::create(folder.path(), Some(limit)).unwrap();
+        for at in 0..3000 {
+            files.append_state(&row(at)).unwrap();
+        }
+        files.flush().unwrap();
+        // What comes within a second is beyond.
+        assert!(
+            (limit / 3..limit + 20_000).contains(&all_bytes(folder.path())),
+            "{}",
+            all_bytes(folder.path())
+        );
+        let (earlier, newest) = (stamps(&folder.path().join(EARLIER)), stamps(folder.path()));
+        assert_eq!(newest.last(), Some(&2999));
+        assert_eq!(earlier.last().map(|last| last + 1), newest.first().copied());
+    }
+
+    #[test]
+    fn what_an_earlier_run_left_is_kept_where_it_had_a_pose() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = |limit, from: i64| {
+            let mut files = OutputFiles::create(folder.path(), limit).unwrap();
+            (from..from + 5).for_each(|at| files.append_state(&row(at)).unwrap());
+            files.flush().unwrap();
+        };
+        let started = || drop(OutputFiles::create(folder.path(), Some(1_000_000)).unwrap());
+        run(Some(1_000_000), 0);
+        started();
+        started();
+        assert_eq!(stamps(&folder.path().join(EARLIER)), [0, 1, 2, 3, 4]);
+        assert_eq!(stamps(folder.path()), [0; 0]);
+        run(None, 7);
+        run(None, 20);
+        assert_eq!(stamps(&folder.path().join(EARLIER)), [0, 1, 2, 3, 4]);
+        assert_eq!(stamps(folder.path()), [20, 21, 22, 23, 24]);
+    }
 }

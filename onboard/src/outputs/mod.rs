@@ -33,7 +33,7 @@ pub(crate) use recording::MessageRecording;
 pub(crate) use recording_settings::RecordingSettings;
 #[cfg(feature = "ros")]
 pub use ros::RosOutputTask;
-pub use ros::{InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
+pub use ros::{BaseMount, InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
 pub use status_line::StatusLine;
 pub(crate) use status_word::status_word;
 pub use summary::{EndedLost, Summary};

@@ -19,10 +19,13 @@ pub struct Recorder {
 impl Recorder {
     /// Creates the output folder and its files.
     ///
+    /// # Arguments
+    /// * `limit`: bytes of all files together, with which those of an earlier run are kept and old ones are not; `None` without one.
+    ///
     /// # Errors
     /// [`OutputError`] with the file.
-    pub fn create(folder: &Path) -> Result<Self, OutputError> {
-        Ok(Self { files: OutputFiles::create(folder)?, newest: None, error: None })
+    pub fn create(folder: &Path, limit: Option<u64>) -> Result<Self, OutputError> {
+        Ok(Self { files: OutputFiles::create(folder, limit)?, newest: None, error: None })
     }
 
     fn write_newest(&mut self) {

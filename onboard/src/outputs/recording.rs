@@ -33,7 +33,8 @@ pub(crate) struct MessageRecording {
     odom: OdomFrame,
     clock_shift_ns: i64,
     /// Whether it is recorded where the sensors are mounted.
-    has_mounting: bool,
+    /// Whether the robot's frame was known when it was recorded where the sensors are.
+    mounted: Option<bool>,
     /// Statuses before the first frame, which tells the time of the sensors, and when they were made.
     first_statuses: Vec<(Instant, StatusReport)>,
 }
@@ -53,14 +54,14 @@ impl MessageRecording {
         }
         let queue = RecordingQueue::start(path, writer, settings.realtime)?;
         let odom = OdomFrame::default();
-        let (clock_shift_ns, has_mounting, first_statuses) = (0, false, Vec::new());
-        Ok(Self { settings, topics, queue, odom, clock_shift_ns, has_mounting, first_statuses })
+        let (clock_shift_ns, mounted, first_statuses) = (0, None, Vec::new());
+        Ok(Self { settings, topics, queue, odom, clock_shift_ns, mounted, first_statuses })
     }
 
     fn record_status(&mut self, stamp_ns: i64, report: &StatusReport) {
         let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
-        let RecordingSettings { robot, map_expected, .. } = &self.settings;
-        let diagnostics = Diagnostics::of(robot, *map_expected, stamp_ns, report).message;
+        let RecordingSettings { robot, map_expected, body, .. } = &self.settings;
+        let diagnostics = Diagnostics::of(robot, *map_expected, body, stamp_ns, report).message;
         self.message("/diagnostics", stamp_ns, &diagnostics);
     }
 
@@ -72,13 +73,15 @@ impl MessageRecording {
         self.first_statuses.push((Instant::now(), report.clone()));
     }
 
-    /// Says where the sensors are mounted, before anything else and once.
+    /// Says where the sensors are mounted, before anything else, and again where the robot's frame has become known.
     fn mount(&mut self, stamp_ns: i64) {
         let Some(stamp) = Time::from_nanoseconds(stamp_ns) else { return };
-        if std::mem::replace(&mut self.has_mounting, true) {
+        let RecordingSettings { body, calibration, sensors, .. } = &self.settings;
+        let is_known = Some(!body.mount.is_assumed());
+        if self.mounted.is_some() && self.mounted == is_known {
             return;
         }
-        let RecordingSettings { body, calibration, sensors, .. } = &self.settings;
+        self.mounted = is_known;
         let mounting = mounting(body, &calibration.cameras, *sensors, stamp);
         if !mounting.transforms.is_empty() {
             self.queue.message("/tf_static", stamp_ns, &mounting, None);

@@ -5,6 +5,7 @@ use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
 use onboard::arguments::{CalibrationArguments, ImuInBaseLink};
+use onboard::outputs::BaseMount;
 use onboard::{MapLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
@@ -61,7 +62,7 @@ pub fn run(args: &Args) -> Result<()> {
     let mut robot = args.robot.clone();
     let given = robot.imu_in_base_link.map(ImuInBaseLink::imu_from_base);
     if let Some(imu_from_base) = given.or_else(|| recording.imu_from_base(&robot.body.frames.base_link)) {
-        robot.body.imu_from_base = imu_from_base;
+        robot.body.mount = BaseMount::known(imu_from_base);
     }
     if let Some((_, map)) = maps.first() {
         robot.features = robot.features.or_of_map(&map.info().extractor);

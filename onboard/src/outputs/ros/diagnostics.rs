@@ -1,6 +1,7 @@
 //! The status as ROS diagnostics.
 
 use super::super::status_word::status_word;
+use super::settings::RosBody;
 use estimator::Localization;
 use robot::StatusReport;
 use ros_messages::builtin_interfaces::Time;
@@ -24,10 +25,15 @@ impl Diagnostics {
     /// The diagnostics of a status.
     ///
     /// # Arguments
+    /// * `body`: whose frame may have been taken for that of the IMU, which is worth a warning.
     /// * `stamp_ns`: on the clock of the sensors, nanoseconds.
-    pub fn of(robot: &str, map_expected: bool, stamp_ns: i64, report: &StatusReport) -> Self {
+    pub fn of(robot: &str, map_expected: bool, body: &RosBody, stamp_ns: i64, report: &StatusReport) -> Self {
         let StatusReport { status, queries, .. } = report;
+        let assumed = body.mount.is_assumed().then_some(&body.frames.base_link);
         let level = match status.localization {
+            Localization::Localized | Localization::OdometryOnly if assumed.is_some() => {
+                DiagnosticStatus::WARN
+            }
             Localization::Localized => DiagnosticStatus::OK,
             Localization::OdometryOnly if !map_expected => DiagnosticStatus::OK,
             Localization::OdometryOnly | Localization::Starting => DiagnosticStatus::WARN,
@@ -37,7 +43,13 @@ impl Diagnostics {
         let component = DiagnosticStatus {
             level,
             name: "driftless: localization".to_owned(),
-            message: status.reason.clone(),
+            message: match assumed {
+                Some(base) => format!(
+                    "{base} is taken to be the IMU: no transform states where it is, give --imu-in-base-link; {}",
+                    status.reason
+                ),
+                None => status.reason.clone(),
+            },
             hardware_id: robot.to_owned(),
             values: vec![
                 value("state", status_word(status).to_owned()),
@@ -75,15 +87,21 @@ impl Diagnostics {
 
 #[cfg(test)]
 mod tests {
+    use super::super::base_mount::BaseMount;
     use super::*;
     use estimator::Status;
+    use geometry::Pose;
 
     fn diagnostics(map_expected: bool, localization: Localization, reason: &str) -> Diagnostics {
+        of_body(&RosBody::default(), map_expected, localization, reason)
+    }
+
+    fn of_body(body: &RosBody, map_expected: bool, localization: Localization, reason: &str) -> Diagnostics {
         let status =
             Status { localization, reason: reason.to_owned(), last_map_update_ns: None, held_keyframes: 3 };
         let mut report = StatusReport::new(Some(5), status);
         (report.queries.sent, report.queries.answered) = (2, 1);
-        Diagnostics::of("cart7", map_expected, 5_000_000_007, &report)
+        Diagnostics::of("cart7", map_expected, body, 5_000_000_007, &report)
     }
 
     fn level(localization: Localization, map_expected: bool) -> u8 {
@@ -97,6 +115,22 @@ mod tests {
         assert_eq!(level(Localization::OdometryOnly, true), DiagnosticStatus::WARN);
         assert_eq!(level(Localization::Lost, true), DiagnosticStatus::ERROR);
         assert_eq!(level(Localization::Starting, true), DiagnosticStatus::WARN);
+    }
+
+    #[test]
+    fn a_frame_that_is_taken_to_be_the_imu_is_a_warning_until_it_is_stated() {
+        let body = RosBody { mount: BaseMount::assumed(), ..RosBody::default() };
+        let first_of =
+            |localization| of_body(&body, false, localization, "fine").message.status.swap_remove(0);
+        let localized = first_of(Localization::Localized);
+        assert_eq!(localized.level, DiagnosticStatus::WARN);
+        assert!(localized.message.starts_with("base_link is taken to be the IMU"), "{}", localized.message);
+        assert!(localized.message.ends_with("; fine"), "{}", localized.message);
+        assert_eq!(first_of(Localization::OdometryOnly).level, DiagnosticStatus::WARN);
+        assert_eq!(first_of(Localization::Lost).level, DiagnosticStatus::ERROR);
+        body.mount.state(Pose::identity());
+        let stated = first_of(Localization::Localized);
+        assert_eq!((stated.level, stated.message.as_str()), (DiagnosticStatus::OK, "fine"));
     }
 
     #[test]

@@ -35,7 +35,7 @@ pub(super) async fn next_initial_pose(topic: Option<&InitialPoseSubscription>) -
     };
     match pose {
         // The run reports what is wrong with it.
-        Ok(pose) => drop(topic.poses.set(pose, &topic.body.imu_from_base.inverse())),
+        Ok(pose) => drop(topic.poses.set(pose, &topic.body.mount.imu_from_base().inverse())),
         Err(error) => topic.poses.refuse(error),
     }
     Ok(())

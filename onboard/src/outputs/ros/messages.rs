@@ -26,7 +26,8 @@ pub struct Messages {
 
 /// Makes the messages of an estimate; `None` for a time that ROS cannot write (before 1901, after 2038).
 pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Option<Messages> {
-    let local_from_base = estimate.motion.state.local_from_imu * body.imu_from_base;
+    let imu_from_base = body.mount.imu_from_base();
+    let local_from_base = estimate.motion.state.local_from_imu * imu_from_base;
     let odom_from_local = odom.update(&local_from_base);
     let odometry = odometry(body, &odom_from_local, &estimate.motion)?;
     let stamp = odometry.header.stamp;
@@ -45,7 +46,7 @@ pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Op
         odometry,
         pose: estimate.trusted().map(|global| PoseWithCovarianceStamped {
             header: Header { stamp, frame_id: frames.map.clone() },
-            pose: pose(&global.global_from_imu.change_of_child(&body.imu_from_base)),
+            pose: pose(&global.global_from_imu.change_of_child(&imu_from_base)),
         }),
         transforms: TFMessage { transforms },
     })
@@ -54,12 +55,13 @@ pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Op
 /// Pose and velocities of the robot in `odom`; `None` for a time that ROS cannot write.
 pub fn odometry(body: &RosBody, odom_from_local: &PoseWithCovariance, motion: &Motion) -> Option<Odometry> {
     let stamp = Time::from_nanoseconds(motion.stamp_ns)?;
-    let local_from_base = motion.local_from_imu().change_of_child(&body.imu_from_base);
+    let imu_from_base = body.mount.imu_from_base();
+    let local_from_base = motion.local_from_imu().change_of_child(&imu_from_base);
     Some(Odometry {
         header: Header { stamp, frame_id: body.frames.odom.clone() },
         child_frame_id: body.frames.base_link.clone(),
         pose: pose(&odom_from_local.compose(&local_from_base)),
-        twist: twist(&body.imu_from_base, motion),
+        twist: twist(&imu_from_base, motion),
     })
 }
 

@@ -12,6 +12,7 @@
 //! | `/tf_static` | `tf2_msgs/TFMessage` | base_link from IMU, IMU from cameras; latched |
 //! | `/diagnostics` | `diagnostic_msgs/DiagnosticArray` | the status, every second and when it changes |
 
+mod base_mount;
 #[cfg(feature = "ros")]
 mod diagnostics;
 #[cfg(feature = "ros")]
@@ -33,6 +34,7 @@ mod static_transforms;
 #[cfg(all(test, feature = "ros"))]
 mod tests;
 
+pub use base_mount::BaseMount;
 #[cfg(feature = "bags")]
 pub(crate) use diagnostics::Diagnostics;
 #[cfg(feature = "bags")]

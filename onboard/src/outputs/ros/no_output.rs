@@ -9,7 +9,7 @@ use std::convert::Infallible;
 pub struct RosOutput(Infallible);
 
 impl RosOutput {
-    pub(crate) fn publish_mounting(&self, _: &[CameraSensor]) {
+    pub(crate) fn publish_mounting(&mut self, _: &[CameraSensor]) {
         match self.0 {}
     }
 }

@@ -47,6 +47,8 @@ pub struct RosOutput {
     clock_shift_ns: i64,
     diagnostics: watch::Sender<Option<Diagnostics>>,
     static_transforms: watch::Sender<TFMessage>,
+    /// What was published of where the sensors are: the cameras, and whether the robot's frame was known.
+    mounting: Option<(Vec<CameraSensor>, bool)>,
 }
 
 /// The task that publishes. It ends when all its [`RosOutput`]s are dropped.
@@ -70,12 +72,13 @@ impl RosOutput {
         let (static_transforms, mounting) = watch::channel(TFMessage::default());
         let changes = Changes { diagnostics: last, static_transforms: mounting };
         let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, changes)));
-        let odom = OdomFrame::default();
-        Ok((Self { settings, odom, queue, clock_shift_ns: 0, diagnostics, static_transforms }, task))
+        let (odom, clock_shift_ns, mounting) = (OdomFrame::default(), 0, None);
+        Ok((Self { settings, odom, queue, clock_shift_ns, diagnostics, static_transforms, mounting }, task))
     }
 
     /// Publishes where the sensors are mounted, for those who come later as well.
-    pub fn publish_mounting(&self, cameras: &[CameraSensor]) {
+    pub fn publish_mounting(&mut self, cameras: &[CameraSensor]) {
+        self.mounting = Some((cameras.to_vec(), self.settings.body.mount.is_assumed()));
         let since_epoch = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
         self.static_transforms.send_replace(static_transforms(&self.settings.body, cameras, stamp));
@@ -85,6 +88,10 @@ impl RosOutput {
 impl Output for RosOutput {
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.
     fn estimate(&mut self, estimate: &Estimate) {
+        let is_assumed = self.settings.body.mount.is_assumed();
+        if let Some((cameras, _)) = self.mounting.take_if(|(_, was_assumed)| *was_assumed && !is_assumed) {
+            self.publish_mounting(&cameras);
+        }
         let mut estimate = estimate.clone();
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
         let Some(messages) = messages(&self.settings.body, &mut self.odom, &estimate) else {
@@ -120,8 +127,8 @@ impl Output for RosOutput {
     /// Publishes the status now if it changed, and every second.
     fn status(&mut self, report: &StatusReport) {
         let stamp_ns = report.stamp_or_now_ns().saturating_add(self.clock_shift_ns);
-        let RosSettings { robot, map_expected, .. } = &*self.settings;
-        let new = Diagnostics::of(robot, *map_expected, stamp_ns, report);
+        let RosSettings { robot, map_expected, body, .. } = &*self.settings;
+        let new = Diagnostics::of(robot, *map_expected, body, stamp_ns, report);
         self.diagnostics.send_if_modified(|last| {
             let changed = last.as_ref().is_none_or(|last| new.differs_from(last));
             *last = Some(new);

@@ -1,7 +1,7 @@
 //! Settings of the ROS 2 topics.
 
+use super::base_mount::BaseMount;
 use client::SessionOptions;
-use geometry::Pose;
 use robot::initial_pose::InitialPoses;
 use std::str::FromStr;
 
@@ -45,8 +45,8 @@ pub struct RosBody {
     pub frames: RosFrames,
     /// Names of the frames of the sensors.
     pub sensor_frames: SensorFrames,
-    /// Pose of the robot's frame in the IMU's.
-    pub imu_from_base: Pose,
+    /// Where the robot's frame is on the IMU.
+    pub mount: BaseMount,
 }
 
 impl Default for RosBody {
@@ -57,7 +57,7 @@ impl Default for RosBody {
         Self {
             frames: RosFrames { map, odom, base_link },
             sensor_frames: SensorFrames::default(),
-            imu_from_base: Pose::identity(),
+            mount: BaseMount::default(),
         }
     }
 }

@@ -6,7 +6,8 @@ use ros_messages::tf2_msgs::TFMessage;
 use sensors::CameraSensor;
 use sensors::ros::{RosSensors, transform_message};
 
-/// `base_link` → IMU, and IMU → cameras (optical frames: z along the view, x right), as far as the sensors' frames are named.
+/// `base_link` → IMU where that is known, and IMU → cameras (optical frames: z along the view, x right), as far as the sensors' frames
+/// are named.
 ///
 /// # Arguments
 /// * `cameras`: their calibration; what a run estimates of it is not published.
@@ -19,15 +20,16 @@ pub fn static_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) 
 /// is left to the robot's description if that names the IMU.
 pub fn complete_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) -> TFMessage {
     let names = &body.sensor_frames.names;
-    let base_from_imu = body.imu_from_base.inverse();
-    let on_robot =
-        names.first().map(|imu| transform_message(stamp, &body.frames.base_link, imu, &base_from_imu));
+    let base_from_imu = body.mount.imu_from_base().inverse();
+    let imu = names.first().filter(|_| !body.mount.is_assumed());
+    let on_robot = imu.map(|imu| transform_message(stamp, &body.frames.base_link, imu, &base_from_imu));
     let of_cameras = RosSensors::new(names, cameras).mounting(stamp);
     TFMessage { transforms: on_robot.into_iter().chain(of_cameras).collect() }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::base_mount::BaseMount;
     use super::*;
     use geometry::camera::{Camera, Distortion};
     use geometry::{Pose, rotation};
@@ -55,7 +57,8 @@ mod tests {
     fn the_sensors_hang_on_the_robot_as_they_are_calibrated() {
         let mounted =
             |turn: f64, x: f64| Pose::new(rotation::exp(&(Vector3::y() * turn)), Vector3::new(x, 0.1, 0.2));
-        let body = RosBody { imu_from_base: mounted(0.3, -0.4), ..RosBody::default() };
+        let mount = BaseMount::known(mounted(0.3, -0.4));
+        let body = RosBody { mount, ..RosBody::default() };
         let cameras = [camera(mounted(1.0, 0.05)), camera(mounted(1.1, 0.15))];
         let message = static_transforms(&body, &cameras, Time { sec: 5, nanosec: 6 });
         let names: Vec<_> = message
@@ -65,7 +68,7 @@ mod tests {
             .collect();
         assert_eq!(names, [("base_link", "imu"), ("imu", "cam0"), ("imu", "cam1")]);
         let base_from_imu = pose_of(&message.transforms[0]);
-        assert!((base_from_imu * body.imu_from_base).local(&Pose::identity()).norm() < 1e-12);
+        assert!((base_from_imu * body.mount.imu_from_base()).local(&Pose::identity()).norm() < 1e-12);
         for (transform, sensor) in message.transforms[1..].iter().zip(&cameras) {
             assert!(pose_of(transform).local(&sensor.imu_from_camera).norm() < 1e-12);
         }

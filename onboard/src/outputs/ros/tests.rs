@@ -2,7 +2,7 @@
 
 use super::messages::{Messages, messages};
 use super::odom_frame::OdomFrame;
-use super::{InitialPoseTopic, RosBody, RosOutput, RosSettings};
+use super::{BaseMount, InitialPoseTopic, RosBody, RosOutput, RosSettings};
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
 use estimator::propagation::{ImuMatrix, ImuState};
@@ -26,7 +26,10 @@ pub fn settings() -> RosSettings {
         session: SessionOptions::default(),
         domain: 0,
         namespace: String::new(),
-        body: RosBody { imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]), ..RosBody::default() },
+        body: RosBody {
+            mount: BaseMount::known(pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4])),
+            ..RosBody::default()
+        },
         robot: "cart7".to_owned(),
         map_expected: true,
         has_clock: true,
@@ -100,7 +103,7 @@ fn transforms_lead_from_the_map_over_odom_to_the_robot() {
     assert_near(&map_from_base, &read_pose(pose.pose.pose.position, pose.pose.pose.orientation));
     assert_near(
         &map_from_base,
-        &(estimate().global.unwrap().global_from_imu.pose * settings().body.imu_from_base),
+        &(estimate().global.unwrap().global_from_imu.pose * settings().body.mount.imu_from_base()),
     );
 }
 
@@ -149,7 +152,8 @@ fn the_twist_is_the_motion_of_the_robot_in_its_own_frame() {
         let motion = &estimate.motion;
         let imu = motion.state.local_from_imu;
         let turned = imu.rotation * rotation::exp(&(motion.angular_velocity * seconds));
-        Pose::new(turned, imu.translation + motion.state.velocity * seconds) * settings.body.imu_from_base
+        Pose::new(turned, imu.translation + motion.state.velocity * seconds)
+            * settings.body.mount.imu_from_base()
     };
     let step = 1e-6;
     let motion = at(-step).inverse() * at(step);
@@ -170,7 +174,7 @@ fn the_covariance_is_that_of_the_robots_error_about_fixed_axes() {
     let base = |error: &Vector6<f64>| {
         let imu = estimate.motion.state.local_from_imu;
         let turned = rotation::exp(&error.fixed_rows::<3>(0).into_owned()) * imu.rotation;
-        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().body.imu_from_base
+        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().body.mount.imu_from_base()
     };
     let mut expected = Matrix6::zeros();
     for column in 0..6 {
@@ -284,7 +288,7 @@ fn where_sensors_are_mounted_arrives_at_nodes_that_come_later_and_poses_of_opera
     settings.session.connect = vec![endpoint];
     let poses = InitialPoses::default();
     settings.initial_pose = Some(InitialPoseTopic { topic: "/initialpose".to_owned(), poses: poses.clone() });
-    let body_from_imu = settings.body.imu_from_base.inverse();
+    let body_from_imu = settings.body.mount.imu_from_base().inverse();
     let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
     output.publish_mounting(&[]);
     output.status(&status_report());
