@@ -4,12 +4,12 @@
 //! first. The body frame is the IMU's, as in EuRoC.
 
 use crate::yaml::{
-    Lens, NoiseYaml, check_positive, checked_time_shift, parse, pose_from_matrix, projection_yaml, read_text,
-    readout_time,
+    Lens, NoiseYaml, check_positive, checked_mount, checked_time_shift, parse, pose_from_matrix,
+    projection_yaml, read_text, readout_time,
 };
 use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, kalibr};
 use geometry::camera::Camera;
-use geometry::{Geodetic, Pose, check_mount};
+use geometry::{Geodetic, Pose};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::fmt::Write as _;
@@ -184,8 +184,7 @@ pub fn read_gnss(path: &Path) -> Result<GnssSensor, CalibrationError> {
 pub fn gnss_of_text(path: &Path, text: &str) -> Result<GnssSensor, CalibrationError> {
     let yaml: GnssYaml = parse(path, KIND, text)?;
     let antenna_in_imu = Vector3::from(yaml.antenna);
-    check_mount(&Pose::new(UnitQuaternion::identity(), antenna_in_imu))
-        .map_err(|error| CalibrationError::entry(path, format!("antenna: {error}")))?;
+    checked_mount(path, "antenna", &Pose::new(UnitQuaternion::identity(), antenna_in_imu))?;
     let origin = yaml.origin.map(|[latitude_deg, longitude_deg, altitude_m]| Geodetic {
         latitude_deg,
         longitude_deg,

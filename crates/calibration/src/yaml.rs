@@ -294,8 +294,25 @@ pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<P
     let rotation =
         rounded_rotation(matrix).ok_or_else(|| wrong("its upper left 3x3 block is not a rotation"))?;
     let pose = Pose::new(rotation, Vector3::new(data[3], data[7], data[11]));
-    check_mount(&pose).map_err(|error| wrong(&error.to_string()))?;
+    checked_mount(path, key, &pose)?;
     Ok(pose)
+}
+
+/// A sensor farther from the IMU is warned of, metres: only large vehicles have one, and millimetres are a common mistake.
+const FAR_M: f64 = 10.0;
+
+/// Checks where a sensor is in the frame of the IMU. `name`: what the file calls it.
+pub(crate) fn checked_mount(path: &Path, name: &str, imu_from_sensor: &Pose) -> Result<(), CalibrationError> {
+    check_mount(imu_from_sensor)
+        .map_err(|error| CalibrationError::entry(path, format!("{name}: {error}")))?;
+    let distance = imu_from_sensor.translation.norm();
+    if distance > FAR_M {
+        tracing::warn!(
+            "{}: {name} is a translation of {distance:.0} m: the file is in metres, is this one in millimetres?",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 /// The rotation that a matrix is up to what files round; `None` where it is none.

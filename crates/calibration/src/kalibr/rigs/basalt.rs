@@ -8,7 +8,7 @@
 
 use super::Rig;
 use crate::CalibrationError;
-use crate::yaml::{Lens, check_positive, parse};
+use crate::yaml::{Lens, check_positive, checked_mount, parse};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -81,8 +81,7 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Rig, CalibrationError> {
         let pose = transform.pose().ok_or_else(|| {
             wrong(format!("T_imu_cam of camera {index} is no pose: its quaternion is not of length 1"))
         })?;
-        geometry::check_mount(&pose)
-            .map_err(|error| wrong(format!("T_imu_cam of camera {index}: {error}")))?;
+        checked_mount(path, &format!("T_imu_cam of camera {index}"), &pose)?;
         cameras.push((calibration.intrinsics[index].camera(path, calibration.resolution[index])?, pose));
     }
     check_positive(path, "imu_update_rate", calibration.imu_update_rate)?;
