@@ -31,10 +31,12 @@ pub(crate) struct Surplus {
 ///
 /// # Arguments
 /// * `session`: ids of the keyframes that are new.
+/// * `outside`: landmarks that stay in any case: keyframes outside of `contents` observe them, where that is a part of a map.
 /// * `stamp_ns`: when the session ended.
 pub(crate) fn surplus(
     contents: &MapContents,
     session: &RangeInclusive<KeyframeId>,
+    outside: &BTreeSet<LandmarkId>,
     stamp_ns: i64,
     settings: &Settings,
 ) -> Surplus {
@@ -76,6 +78,7 @@ pub(crate) fn surplus(
         kept.push(of_place);
     }
     surplus.landmarks = coverage.surplus_landmarks(&kept, &others, settings.landmarks_a_place);
+    surplus.landmarks.retain(|landmark| !outside.contains(landmark));
     surplus
 }
 
@@ -142,7 +145,7 @@ impl Coverage<'_> {
         chosen
     }
 
-    /// The landmarks that places have beyond so many, and that no other place shows.
+    /// The landmarks that places have beyond so many, and that no other place of these shows.
     ///
     /// # Arguments
     /// * `visited`: the keyframes of each place that stay.

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
-use map::{MapContents, edit};
+use map::{Landmark, MapContents, edit};
 use mapping::{
     BuildOptions, ExtendError, ExtensionReport, LocatedErrors, MapPoses, Progress, Stage,
     check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown, put_back,
@@ -26,11 +26,17 @@ const CONFIDENCE: f64 = 0.9999;
 /// Keyframes whose place looks like no other one, at least, that locate a session where most of what it shows repeats.
 const LEAST_TOLD_APART: usize = 3;
 
-/// Maps with more keyframes are worked on in the part that the session shows.
-const LARGE_MAP: usize = 400;
-/// Keyframes of such a part, at least and at most; between them, ...
-const PART_KEYFRAMES: [usize; 2] = [300, 600];
-/// ... so many for each image of the session that has features.
+/// Which maps are worked on in parts, and how large these are.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PartSizes {
+    /// Maps with more keyframes are worked on in the part that the session shows.
+    pub(crate) large: usize,
+    /// Keyframes of such a part, at least and at most; between them, [`PART_KEYFRAMES_AN_IMAGE`].
+    pub(crate) keyframes: [usize; 2],
+}
+
+const PART_SIZES: PartSizes = PartSizes { large: 400, keyframes: [300, 600] };
+/// Keyframes of a part for each image of the session that has features.
 const PART_KEYFRAMES_AN_IMAGE: usize = 3;
 
 /// Works a session into a map.
@@ -53,23 +59,22 @@ pub fn take_session(
     settings: &Settings,
     progress: Progress<'_>,
 ) -> Result<SessionReport, Refusal> {
-    take_session_by_parts(map, sequence, build, settings, LARGE_MAP, progress)
+    take_session_by_parts(map, sequence, build, settings, PART_SIZES, progress)
 }
 
-/// # Arguments
-/// * `large`: maps with more keyframes are worked on in parts.
+/// [`take_session`] with other sizes of parts.
 pub(crate) fn take_session_by_parts(
     map: &mut MapContents,
     sequence: &mut Sequence,
     build: &BuildOptions,
     settings: &Settings,
-    large: usize,
+    sizes: PartSizes,
     progress: Progress<'_>,
 ) -> Result<SessionReport, Refusal> {
     // Odometry would take minutes to get to the same.
     check_new_recording(&map.info, sequence, build)?;
     let mut work = Work { sequence, build, settings, progress };
-    if map.keyframes.len() <= large {
+    if map.keyframes.len() <= sizes.large {
         let Taken { mut contents, report, .. } = work.take(map, None)?;
         remove_gone_of_added_kinds(&mut contents, &report.gone_m);
         contents.count_sessions();
@@ -78,10 +83,12 @@ pub(crate) fn take_session_by_parts(
         return Ok(report);
     }
     let images = work.sequence.frames.iter().filter(|frame| frame.features.is_some()).count();
-    let [least, most] = PART_KEYFRAMES;
+    let [least, most] = sizes.keyframes;
     let count = (PART_KEYFRAMES_AN_IMAGE * images).clamp(least, most);
     let keyframes = part_shown(map, work.sequence, count, work.progress)?;
-    let part = edit::part_of(map, &keyframes);
+    let mut part = edit::part_of(map, &keyframes);
+    // The ids of new keyframes come after all of the map's, also where it has no ledger.
+    part.info.sessions = map.sessions_or_one(&map.info.name);
     let Taken { contents, errors, lost, mut report } = work.take(&part, Some((map, &keyframes)))?;
     contents.validate()?;
     let has_new = report.kept_keyframes > 0;
@@ -100,7 +107,7 @@ struct Taken {
     contents: MapContents,
     /// Of the new keyframes, in a larger map.
     errors: LocatedErrors,
-    /// Landmarks that were taken out.
+    /// Landmarks that were taken out, new ones among them.
     lost: BTreeSet<LandmarkId>,
     report: SessionReport,
 }
@@ -146,7 +153,8 @@ impl Work<'_, '_> {
         let sightings = sightings(&contents, &ids, &features);
         let detection_rates = update_existence(&mut contents, &sightings, &ids, stamp_ns, settings);
         let removed = remove_gone(&mut contents, settings);
-        let surplus = surplus(&contents, &ids, stamp_ns, settings);
+        let outside = whole.map(|(whole, part)| observed_outside(whole, part)).unwrap_or_default();
+        let surplus = surplus(&contents, &ids, &outside, stamp_ns, settings);
         let all: BTreeSet<KeyframeId> = surplus.replaced.union(&surplus.unused).copied().collect();
         edit::remove_keyframes(&mut contents, &all);
         contents.landmarks.retain(|landmark| !surplus.landmarks.contains(&landmark.id));
@@ -182,6 +190,13 @@ impl Work<'_, '_> {
         let lost = removed.landmarks.into_iter().chain(surplus.landmarks).collect();
         Ok(Taken { contents, errors, lost, report })
     }
+}
+
+/// The landmarks of a map that keyframes outside of a part observe.
+fn observed_outside(map: &MapContents, part: &BTreeSet<KeyframeId>) -> BTreeSet<LandmarkId> {
+    let is_outside =
+        |landmark: &&Landmark| landmark.observations.iter().any(|seen| !part.contains(&seen.keyframe));
+    map.landmarks.iter().filter(is_outside).map(|landmark| landmark.id).collect()
 }
 
 /// The ids of the keyframes that a map has beyond those of another one.

@@ -94,7 +94,7 @@ fn a_place_keeps_so_many_keyframes_and_they_show_what_it_showed() {
     settings.min_added = 0.0;
     for most in 1..=4 {
         settings.keyframes_a_place = most;
-        let surplus_of = |map: &MapContents| surplus(map, &ALL, FIRST_NS, &settings);
+        let surplus_of = |map: &MapContents| surplus(map, &ALL, &BTreeSet::new(), FIRST_NS, &settings);
         let first = surplus_of(&map);
         assert!(first.unused.is_empty());
         let kept = map.keyframes.len() - first.replaced.len();
@@ -107,7 +107,10 @@ fn a_place_keeps_so_many_keyframes_and_they_show_what_it_showed() {
         thinned.validate().unwrap();
         assert_eq!(surplus_of(&thinned).replaced, BTreeSet::new());
         // Nor where nobody has come.
-        assert_eq!(surplus(&map, &(0..=0), FIRST_NS, &settings), crate::coverage::Surplus::default());
+        assert_eq!(
+            surplus(&map, &(0..=0), &BTreeSet::new(), FIRST_NS, &settings),
+            crate::coverage::Surplus::default()
+        );
     }
 }
 
@@ -118,7 +121,7 @@ fn a_keyframe_that_adds_little_to_the_others_of_its_place_is_not_kept() {
     settings.keyframes_a_place = map.keyframes.len();
     let kept_with = |min_added: f64, map: &MapContents| -> BTreeSet<KeyframeId> {
         let settings = Settings { min_added, ..settings.clone() };
-        let replaced = surplus(map, &ALL, FIRST_NS, &settings).replaced;
+        let replaced = surplus(map, &ALL, &BTreeSet::new(), FIRST_NS, &settings).replaced;
         map.keyframes.iter().map(|keyframe| keyframe.id).filter(|id| !replaced.contains(id)).collect()
     };
     assert_eq!(kept_with(0.0, &map).len(), map.keyframes.len());
@@ -228,11 +231,11 @@ fn an_appearance_that_nobody_sees_goes_and_one_of_a_place_that_nobody_visits_sta
     let of_old: BTreeSet<u64> = map.keyframes[..4].iter().map(|keyframe| keyframe.id).collect();
     let old_ns = now_ns - 400 * DAY_NS;
     map.existence = stated(&map, |_| old_ns);
-    assert_eq!(surplus(&map, &ALL, now_ns, &settings).unused, BTreeSet::new());
+    assert_eq!(surplus(&map, &ALL, &BTreeSet::new(), now_ns, &settings).unused, BTreeSet::new());
     // By night the first four keyframes are seen again.
     add_night(&mut map, 4);
     map.existence = stated(&map, |landmark| if landmark.id < 1_000_000 { old_ns } else { now_ns });
-    let unused = surplus(&map, &(NIGHT..=2 * NIGHT), now_ns, &settings).unused;
+    let unused = surplus(&map, &(NIGHT..=2 * NIGHT), &BTreeSet::new(), now_ns, &settings).unused;
     assert_eq!(unused, of_old);
 }
 
@@ -241,13 +244,13 @@ fn a_place_keeps_so_many_landmarks_and_each_keyframe_its_share() {
     let map = place();
     let mut settings = one_place();
     (settings.keyframes_a_place, settings.min_added) = (4, 0.0);
-    let before = surplus(&map, &ALL, FIRST_NS, &settings);
+    let before = surplus(&map, &ALL, &BTreeSet::new(), FIRST_NS, &settings);
     assert_eq!(before.landmarks, BTreeSet::new());
     let mut thinned = map.clone();
     edit::remove_keyframes(&mut thinned, &before.replaced);
     for most in [100, 40] {
         settings.landmarks_a_place = most;
-        let beyond = surplus(&thinned, &ALL, FIRST_NS, &settings).landmarks;
+        let beyond = surplus(&thinned, &ALL, &BTreeSet::new(), FIRST_NS, &settings).landmarks;
         let mut left = thinned.clone();
         left.landmarks.retain(|landmark| !beyond.contains(&landmark.id));
         left.validate().unwrap();
@@ -258,7 +261,7 @@ fn a_place_keeps_so_many_landmarks_and_each_keyframe_its_share() {
             let count = left.landmarks.iter().filter(is_seen).count();
             assert!(count >= most / 4, "{count} of {most} in keyframe {}", keyframe.id);
         }
-        assert_eq!(surplus(&left, &ALL, FIRST_NS, &settings).landmarks, BTreeSet::new());
+        assert_eq!(surplus(&left, &ALL, &BTreeSet::new(), FIRST_NS, &settings).landmarks, BTreeSet::new());
     }
 }
 

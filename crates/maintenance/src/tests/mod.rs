@@ -1,6 +1,7 @@
 //! The laws of existence and of detection rates.
 
 mod coverage;
+mod halls;
 mod parts;
 
 use std::collections::BTreeSet;

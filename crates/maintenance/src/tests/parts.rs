@@ -1,18 +1,22 @@
 //! A session that is worked into a part of a map, and into the map as a whole.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use map::MapContents;
-use mapping::{BuildOptions, PosePriors, build_map_from_odometry, run_odometry};
+use mapping::{BuildOptions, PosePriors, build_map_from_odometry, part_shown, run_odometry};
+use protocol::LandmarkId;
+use sensors::Sequence;
 use simulation::{ChangingPlace, Scenario, SimulationOptions};
 use testing::add_second_kind;
 
+use super::halls::halls;
 use super::{DAY_NS, FIRST_NS};
-use crate::session::take_session_by_parts;
+use crate::report::SessionReport;
+use crate::session::{PartSizes, take_session_by_parts};
 use crate::settings::Settings;
 
-#[test]
-fn a_part_that_is_the_whole_map_gives_the_same_map() {
+/// A room that robots come to again and again.
+fn room() -> ChangingPlace {
     let options = SimulationOptions {
         scenario: Scenario::Room,
         depth_m: Scenario::Room.depth_m(),
@@ -22,26 +26,49 @@ fn a_part_that_is_the_whole_map_gives_the_same_map() {
         dropout_fraction: 0.0,
         ..SimulationOptions::default()
     };
-    let mut place = ChangingPlace::new(&options).unwrap();
-    let mut first = place.record(1, FIRST_NS).unwrap();
+    ChangingPlace::new(&options).unwrap()
+}
+
+/// A map of the first session in a room.
+fn map_of(room: &ChangingPlace) -> MapContents {
+    let mut first = room.record(1, FIRST_NS).unwrap();
     let odometry = run_odometry(&mut first, 2, |_, _| {}).unwrap();
     let (build, none) = (BuildOptions::default(), PosePriors::default());
-    let mut map =
-        build_map_from_odometry(&first, &odometry, &none, None, &build, &mut |_, _, _| {}).unwrap().0;
-    add_second_kind(&mut map, "other-1");
-    place.move_landmarks(0.1, 1);
-    let session = place.record(2, FIRST_NS + DAY_NS).unwrap();
+    build_map_from_odometry(&first, &odometry, &none, None, &build, &mut |_, _, _| {}).unwrap().0
+}
 
-    let taken = |large: usize| {
-        let (mut map, mut session, settings) = (map.clone(), session.clone(), Settings::default());
-        let report =
-            take_session_by_parts(&mut map, &mut session, &build, &settings, large, &mut |_, _, _| {})
-                .unwrap();
-        (map, report)
-    };
-    let [(whole, of_whole), (by_parts, of_parts)] = [usize::MAX, 0].map(taken);
-    by_parts.validate().unwrap();
-    assert_eq!(by_parts.audit_sessions(), Vec::new());
+/// Works a session into a map, with parts of so many keyframes.
+fn taken(
+    map: &MapContents,
+    session: &Sequence,
+    settings: &Settings,
+    sizes: PartSizes,
+) -> (MapContents, SessionReport) {
+    let (mut map, mut session) = (map.clone(), session.clone());
+    let build = BuildOptions::default();
+    let report =
+        take_session_by_parts(&mut map, &mut session, &build, settings, sizes, &mut |_, _, _| {}).unwrap();
+    map.validate().unwrap();
+    assert_eq!(map.audit_sessions(), Vec::new());
+    (map, report)
+}
+
+fn in_parts_of(keyframes: usize) -> PartSizes {
+    PartSizes { large: 0, keyframes: [keyframes; 2] }
+}
+
+const AS_A_WHOLE: PartSizes = PartSizes { large: usize::MAX, keyframes: [0; 2] };
+
+#[test]
+fn a_part_that_is_the_whole_map_gives_the_same_map() {
+    let mut room = room();
+    let mut map = map_of(&room);
+    add_second_kind(&mut map, "other-1");
+    room.move_landmarks(0.1, 1);
+    let session = room.record(2, FIRST_NS + DAY_NS).unwrap();
+    let settings = Settings::default();
+    let [(whole, of_whole), (by_parts, of_parts)] =
+        [AS_A_WHOLE, in_parts_of(300)].map(|sizes| taken(&map, &session, &settings, sizes));
     assert!(of_whole.kept_keyframes > 0 && of_whole.seen > 50, "{of_whole:?}");
     let counts = |map: &MapContents| (map.keyframes.len(), map.landmarks.len(), map.observation_count());
     assert_eq!(counts(&by_parts), counts(&whole));
@@ -82,4 +109,59 @@ fn a_part_that_is_the_whole_map_gives_the_same_map() {
     }
     // Places that look alike are searched in all of the map.
     assert_eq!(by_parts.aliases.len(), by_parts.keyframes.len());
+}
+
+/// Settings with which a place keeps few landmarks.
+fn few_landmarks() -> Settings {
+    let mut settings = Settings::default();
+    settings.landmarks_a_place = 40;
+    settings
+}
+
+/// The new landmarks of the hall that a session came to have ids, before they are put back, that landmarks of other halls have.
+#[test]
+fn a_hall_that_no_session_came_to_stays_as_it_is() {
+    let room = room();
+    let hall = map_of(&room);
+    let count = hall.keyframes.len();
+    let session = room.record(2, FIRST_NS + DAY_NS).unwrap();
+    for has_ledger in [true, false] {
+        let mut before = halls(&hall, 3);
+        if !has_ledger {
+            before.info.sessions.clear();
+        }
+        let (after, report) = taken(&before, &session, &few_landmarks(), in_parts_of(count));
+        assert!(report.surplus_landmarks > 50 && report.kept_keyframes > 0, "{report:?}");
+        let elsewhere = &before.keyframes[count..];
+        let last = after.keyframes.len() - report.kept_keyframes;
+        assert_eq!(after.keyframes[last - elsewhere.len()..last], *elsewhere);
+        let of_halls = |map: &MapContents| {
+            let ids = elsewhere[0].id..=elsewhere[elsewhere.len() - 1].id;
+            let landmarks = map.landmarks.iter().filter(|landmark| ids.contains(&landmark.anchor));
+            landmarks.cloned().collect::<Vec<_>>()
+        };
+        let [was, is] = [&before, &after].map(of_halls);
+        let lost = was.iter().filter(|landmark| !is.contains(landmark)).count();
+        assert!(was == is, "with a ledger: {has_ledger}; {lost} of {} are not as they were", was.len());
+    }
+}
+
+#[test]
+fn what_keyframes_beyond_the_border_of_a_part_show_is_not_thinned() {
+    let room = room();
+    let before = map_of(&room);
+    let session = room.record(2, FIRST_NS + DAY_NS).unwrap();
+    let most = before.keyframes.len() / 2;
+    let part = part_shown(&before, &session, most, &mut |_, _, _| {}).unwrap();
+    let (after, report) = taken(&before, &session, &few_landmarks(), in_parts_of(most));
+    assert!(report.surplus_landmarks > 10 && report.gone_m.is_empty(), "{report:?}");
+    let shown_beyond: BTreeSet<LandmarkId> = before
+        .landmarks
+        .iter()
+        .filter(|landmark| landmark.observations.iter().any(|seen| !part.contains(&seen.keyframe)))
+        .map(|landmark| landmark.id)
+        .collect();
+    let left: BTreeSet<LandmarkId> = after.landmarks.iter().map(|landmark| landmark.id).collect();
+    let lost: Vec<&LandmarkId> = shown_beyond.difference(&left).collect();
+    assert!(shown_beyond.len() > 100 && lost.is_empty(), "{} of {} are lost", lost.len(), shown_beyond.len());
 }

@@ -21,7 +21,8 @@ const UNMOVED_M: f64 = 1e-9;
 /// * `map`: sorted.
 /// * `before`: the part as [`edit::part_of`] gives it.
 /// * `after`: the part with the new keyframes, sorted and valid; its ledger is that of the map with the recording.
-/// * `gone`: landmarks of the map that are taken out, whoever observes them.
+/// * `gone`: landmarks of the part that are taken out, whoever observes them. Ids that `before` lacks are those of new landmarks, which another
+///   landmark of the map may have: they name none of the map.
 /// * `errors`: of all new keyframes, those included that `after` lacks.
 pub fn put_back(
     map: &mut MapContents,
@@ -63,7 +64,7 @@ fn put_back_landmarks(
     let was: BTreeMap<LandmarkId, _> =
         before.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
     let poses = map.keyframe_poses();
-    map.landmarks.retain(|landmark| !gone.contains(&landmark.id));
+    map.landmarks.retain(|landmark| !(gone.contains(&landmark.id) && was.contains_key(&landmark.id)));
     let mut new: Vec<Landmark> = Vec::new();
     for (landmark, position) in after.landmarks_in_global() {
         let Some(was) = was.get(&landmark.id) else {

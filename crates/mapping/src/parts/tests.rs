@@ -175,3 +175,17 @@ fn what_became_of_a_part_becomes_of_the_map() {
         }
     }
 }
+
+/// New landmarks of a part have the ids that follow those of the part, which the map has elsewhere.
+#[test]
+fn a_new_landmark_that_is_taken_out_takes_no_other_one_of_the_map_with_it() {
+    let before = map(false);
+    let part = edit::part_of(&before, &(1..=8).collect());
+    let last = part.landmarks.last().unwrap().id;
+    let elsewhere: BTreeSet<u64> = before.landmarks.iter().map(|landmark| landmark.id).collect();
+    let new: BTreeSet<u64> = (last + 1..=last + 40).collect();
+    assert!(elsewhere.is_superset(&new));
+    let mut after = before.clone();
+    put_back(&mut after, &part, part.clone(), &new, LocatedErrors::default());
+    assert_eq!(after, before);
+}
