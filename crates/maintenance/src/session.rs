@@ -35,7 +35,7 @@ pub(crate) struct PartSizes {
     pub(crate) keyframes: [usize; 2],
 }
 
-const PART_SIZES: PartSizes = PartSizes { large: 400, keyframes: [300, 600] };
+pub(crate) const PART_SIZES: PartSizes = PartSizes { large: 400, keyframes: [300, 600] };
 /// Keyframes of a part for each image of the session that has features.
 const PART_KEYFRAMES_AN_IMAGE: usize = 3;
 

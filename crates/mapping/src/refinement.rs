@@ -8,7 +8,7 @@ use estimator::inertial_chain::InertialChain;
 use nalgebra::Vector3;
 
 use super::error::BuildError;
-use super::joint_covariance::{JointCovariance, joint_covariance};
+use super::joint_covariance::{JointCovariance, covariance_of_new, joint_covariance};
 use super::keyframe_view::KeyframeView;
 use super::loop_closure::plausible;
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
@@ -186,6 +186,25 @@ pub(super) fn stated_covariance(
     let posterior = Posterior::new(covariance, &bundle.poses, views, stored);
     let show = |done, all| progress(Stage::Covariance, done, all);
     joint_covariance(&posterior, (views, keyframes), &positions, constraints.own_frame.as_ref(), show)
+}
+
+/// Covariances and cross-covariances of the views of a recording that was located in a map, whose keyframes state theirs as they did.
+///
+/// # Arguments
+/// * `covariance`: of all states at the minimum.
+/// * `views`: those of the recording's keyframes, then those of the map's keyframes; `new` of them are of the recording.
+pub(super) fn located_covariance(
+    covariance: &StateCovariance,
+    bundle: &Bundle,
+    (views, new): (&[usize], usize),
+    stored: &StoredPoses,
+    progress: Progress<'_>,
+) -> JointCovariance {
+    let posterior = Posterior::new(covariance, &bundle.poses, views, std::slice::from_ref(stored));
+    let show = |done, all| progress(Stage::Covariance, done, all);
+    let mut joint = covariance_of_new(&posterior, views, new, show);
+    joint.own.extend(stored.stated());
+    joint
 }
 
 /// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.

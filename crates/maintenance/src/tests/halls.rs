@@ -1,7 +1,10 @@
 //! Halls beside each other that were mapped like one, with descriptors of their own.
 
-use map::{KeyframeAliases, MapContents};
-use nalgebra::Vector3;
+use std::collections::BTreeMap;
+
+use map::{CommonError, KeyframeAliases, KeyframeCrossCovariance, MapContents};
+use nalgebra::{Matrix6, Matrix6xX, Vector3};
+use protocol::KeyframeId;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 
@@ -45,4 +48,46 @@ pub(super) fn halls(hall: &MapContents, count: u64) -> MapContents {
     map.ensure_sessions("halls");
     map.sort();
     map
+}
+
+/// Columns of the errors that all keyframes have in common.
+const COLUMNS: usize = 18;
+/// Standard deviation of these along an axis (rad, m).
+const SIGMA_COMMON: f64 = 1e-3;
+
+/// Adds errors that all keyframes of a map have in common, nearly the same for neighbours.
+///
+/// # Arguments
+/// * `listed`: stated by the cross-covariances of all pairs, not as common errors.
+pub(super) fn add_drift(map: &mut MapContents, listed: bool) {
+    let factor = |at: usize| {
+        let column = |row: usize, column: usize| {
+            (0.02 * (at * (1 + column / 6)) as f64 + (row * 7 + column) as f64).sin()
+        };
+        Matrix6xX::from_fn(COLUMNS, |row, of| column(row, of) * SIGMA_COMMON / (COLUMNS as f64).sqrt())
+    };
+    let factors: Vec<Matrix6xX<f64>> = (0..map.keyframes.len()).map(factor).collect();
+    for (keyframe, factor) in map.keyframes.iter_mut().zip(&factors) {
+        keyframe.global_from_keyframe.covariance += factor * factor.transpose();
+    }
+    let ids: Vec<KeyframeId> = map.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    if !listed {
+        let common = ids.into_iter().zip(factors);
+        map.common_errors = common.map(|(keyframe, factor)| CommonError { keyframe, factor }).collect();
+        return;
+    }
+    let mut blocks: BTreeMap<(KeyframeId, KeyframeId), Matrix6<f64>> = BTreeMap::new();
+    for (b, of_b) in factors.iter().enumerate() {
+        blocks.extend(
+            factors[..b].iter().enumerate().map(|(a, of_a)| ((ids[a], ids[b]), of_a * of_b.transpose())),
+        );
+    }
+    for cross in &map.cross_covariances {
+        if let Some(block) = blocks.get_mut(&(cross.a, cross.b)) {
+            *block += cross.block;
+        }
+    }
+    let pairs = blocks.into_iter();
+    map.cross_covariances = pairs.map(|((a, b), block)| KeyframeCrossCovariance { a, b, block }).collect();
+    map.sort();
 }

@@ -2,17 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use map::MapContents;
+use map::{MapContents, edit};
 use mapping::{BuildOptions, PosePriors, build_map_from_odometry, part_shown, run_odometry};
-use protocol::LandmarkId;
+use nalgebra::DMatrix;
+use protocol::{KeyframeId, LandmarkId};
 use sensors::Sequence;
 use simulation::{ChangingPlace, Scenario, SimulationOptions};
 use testing::add_second_kind;
 
-use super::halls::halls;
+use super::halls::{add_drift, halls};
 use super::{DAY_NS, FIRST_NS};
 use crate::report::SessionReport;
-use crate::session::{PartSizes, take_session_by_parts};
+use crate::session::{PART_SIZES, PartSizes, take_session_by_parts};
 use crate::settings::Settings;
 
 /// A room that robots come to again and again.
@@ -73,11 +74,10 @@ fn a_part_that_is_the_whole_map_gives_the_same_map() {
     let counts = |map: &MapContents| (map.keyframes.len(), map.landmarks.len(), map.observation_count());
     assert_eq!(counts(&by_parts), counts(&whole));
     assert_eq!((of_parts.keyframes, of_parts.landmarks), (of_whole.keyframes, of_whole.landmarks));
-    // What is worked on as a whole has its covariances stated anew, with a lower bound added.
     for (a, b) in by_parts.keyframes.iter().zip(&whole.keyframes) {
         let [a, b] = [a, b].map(|keyframe| (keyframe.id, keyframe.global_from_keyframe));
         assert_eq!((a.0, a.1.pose), (b.0, b.1.pose));
-        assert!((a.1.covariance - b.1.covariance).amax() < 3e-10, "{} {}", a.1.covariance, b.1.covariance);
+        assert!((a.1.covariance - b.1.covariance).amax() < 1e-12, "{} {}", a.1.covariance, b.1.covariance);
     }
     // Of added kinds everything is where it was, with ids beyond the new ones.
     assert_eq!(by_parts.added_features[0].landmarks.len(), whole.added_features[0].landmarks.len());
@@ -105,7 +105,7 @@ fn a_part_that_is_the_whole_map_gives_the_same_map() {
     assert_eq!(by_parts.cross_covariances.len(), whole.cross_covariances.len());
     for (a, b) in pairs {
         assert_eq!((a.a, a.b), (b.a, b.b));
-        assert!((a.block - b.block).amax() < 3e-10, "{} {}", a.block, b.block);
+        assert!((a.block - b.block).amax() < 1e-12, "{} {}", a.block, b.block);
     }
     // Places that look alike are searched in all of the map.
     assert_eq!(by_parts.aliases.len(), by_parts.keyframes.len());
@@ -164,4 +164,74 @@ fn what_keyframes_beyond_the_border_of_a_part_show_is_not_thinned() {
     let left: BTreeSet<LandmarkId> = after.landmarks.iter().map(|landmark| landmark.id).collect();
     let lost: Vec<&LandmarkId> = shown_beyond.difference(&left).collect();
     assert!(shown_beyond.len() > 100 && lost.is_empty(), "{} of {} are lost", lost.len(), shown_beyond.len());
+}
+
+/// What a map states of some of its keyframes.
+fn stated_of(map: &MapContents, keyframes: &BTreeSet<KeyframeId>) -> MapContents {
+    let part = edit::part_of(map, keyframes);
+    MapContents { landmarks: Vec::new(), existence: Vec::new(), aliases: Vec::new(), ..part }
+}
+
+/// The stated covariance of all keyframes, and what their common errors leave of it.
+fn dense(map: &MapContents) -> [DMatrix<f64>; 2] {
+    let at = |id: KeyframeId| 6 * map.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).unwrap();
+    let columns = map.common_errors.first().map_or(0, |common| common.factor.ncols());
+    let size = 6 * map.keyframes.len();
+    let (mut rest, mut common) = (DMatrix::zeros(size, size), DMatrix::zeros(size, columns));
+    for of in &map.common_errors {
+        common.fixed_rows_mut::<6>(at(of.keyframe)).copy_from(&of.factor);
+    }
+    let together = &common * common.transpose();
+    for keyframe in &map.keyframes {
+        let at = at(keyframe.id);
+        let own = keyframe.global_from_keyframe.covariance - together.fixed_view::<6, 6>(at, at);
+        rest.fixed_view_mut::<6, 6>(at, at).copy_from(&own);
+    }
+    for cross in &map.cross_covariances {
+        let (a, b) = (at(cross.a), at(cross.b));
+        rest.fixed_view_mut::<6, 6>(a, b).copy_from(&cross.block);
+        rest.fixed_view_mut::<6, 6>(b, a).copy_from(&cross.block.transpose());
+    }
+    [&rest + together, rest]
+}
+
+/// Whether a matrix is a covariance, but for the rounding of one in which an adjustment left nothing.
+fn is_covariance(matrix: &DMatrix<f64>) -> bool {
+    let rounding = DMatrix::from_diagonal_element(matrix.nrows(), matrix.nrows(), 1e-9);
+    (matrix + rounding).cholesky().is_some()
+}
+
+/// With what a session adds, the map has more keyframes than a map states all pairs of when it is built.
+#[test]
+fn what_a_map_states_of_its_keyframes_stays_to_the_bit_however_many_sessions_come() {
+    let room = room();
+    let hall = map_of(&room);
+    for listed in [true, false] {
+        let mut first = halls(&hall, 396 / hall.keyframes.len() as u64);
+        add_drift(&mut first, listed);
+        first.validate().unwrap();
+        let mut map = first.clone();
+        for session in 1..=2 {
+            let recorded = room.record(1 + session, FIRST_NS + session as i64 * DAY_NS).unwrap();
+            let before = map.keyframes.len();
+            let (after, report) = taken(&map, &recorded, &Settings::default(), PART_SIZES);
+            assert!(before <= 400 && before + report.session_keyframes > 400, "{before}, {report:?}");
+            let left: BTreeSet<KeyframeId> = after.keyframes.iter().map(|keyframe| keyframe.id).collect();
+            let old: BTreeSet<KeyframeId> =
+                map.keyframes.iter().map(|keyframe| keyframe.id).filter(|id| left.contains(id)).collect();
+            let [is, was] = [&after, &map].map(|map| stated_of(map, &old));
+            let pairs = [&is, &was].map(|map| map.cross_covariances.len());
+            assert!(is.cross_covariances == was.cross_covariances, "session {session}: {pairs:?} pairs");
+            assert_eq!(is.common_errors, was.common_errors, "session {session}");
+            assert_eq!(is.keyframes, was.keyframes, "session {session}");
+            if session == 1 {
+                let (by_parts, _) = taken(&map, &recorded, &Settings::default(), in_parts_of(400));
+                let [[by_parts, _], [as_a_whole, _]] = [&by_parts, &after].map(dense);
+                assert!((by_parts - as_a_whole).amax() < 1e-9);
+            }
+            map = after;
+        }
+        let [all, rest] = dense(&map);
+        assert!(is_covariance(&all) && is_covariance(&rest), "pairs are listed: {listed}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Assembles the extended map.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use adjustment::{Bundle, InverseDepthLandmark};
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -15,6 +15,7 @@ use crate::added_features::place_added;
 use crate::assemble::{map_contents, map_observation, stated_keyframes};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::options::MapPoses;
+use crate::parts::{LocatedErrors, located_errors};
 use crate::session::{enter, last_keyframe};
 use crate::stored_landmarks::StoredLandmarks;
 use crate::without_references::Builder;
@@ -77,9 +78,31 @@ pub(super) fn extended(
             None => StatedKeyframe::alone(ids.stored[view - views]),
         });
     contents.sort();
+    if builder.options.map_poses == MapPoses::Considered {
+        state_located(&mut contents, stored)?;
+    }
     contents.count_sessions();
     contents.validate()?;
     Ok(contents)
+}
+
+/// States the joint covariance of a map and what was located in it: that of the map as it was, and of the new keyframes in the same form.
+///
+/// # Arguments
+/// * `contents`: sorted, with every cross-covariance of the new keyframes and none of the others.
+fn state_located(contents: &mut MapContents, stored: &MapContents) -> Result<(), ExtendError> {
+    contents.cross_covariances.extend(stored.cross_covariances.iter().cloned());
+    contents.common_errors.clone_from(&stored.common_errors);
+    if !stored.common_errors.is_empty() {
+        let all: BTreeSet<KeyframeId> = stored.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        let LocatedErrors { common, cross } =
+            located_errors(stored, &all, contents).ok_or(ExtendError::Indefinite)?;
+        contents.cross_covariances.clone_from(&stored.cross_covariances);
+        contents.cross_covariances.extend(cross);
+        contents.common_errors.extend(common);
+    }
+    contents.sort();
+    Ok(())
 }
 
 /// Ids of keyframes by view.

@@ -7,7 +7,8 @@
 //! 4. These relative poses are replaced by what they came from: landmarks of the map, each given the map's poses, with the
 //!    pixels of the recording. Both are adjusted together, and the joint covariance of all keyframes is computed.
 //!
-//! With [`MapPoses::Considered`] the poses of the map and their covariance stay as they are; what is new is located in them.
+//! With [`MapPoses::Considered`] the poses of the map and their covariances and cross-covariances stay as they are, to the bit, whatever the
+//! number of keyframes; what is new is located in them, and its errors are stated in the form of the map (`parts`).
 //!
 //! Keyframes and landmarks of the map keep their ids. Landmarks that the recording does not see move with their anchors.
 
@@ -20,7 +21,7 @@ mod report;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
-use adjustment::{Bundle, MeasuredPoses, RelativePose};
+use adjustment::{Bundle, MeasuredPoses, RelativePose, StateCovariance};
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::Vector3;
@@ -29,6 +30,7 @@ use sensors::Sequence;
 use crate::aliasing::find_aliases;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
+use crate::joint_covariance::JointCovariance;
 use crate::keyframe_view::{image_count, keyframes};
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
@@ -37,7 +39,7 @@ use crate::places::{
     Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, told_apart_count, view_count,
 };
 use crate::progress::Progress;
-use crate::refinement::{Constraints, ROUNDS, state_covariance, stated_covariance};
+use crate::refinement::{Constraints, ROUNDS, located_covariance, state_covariance, stated_covariance};
 use crate::session::check_new_recording;
 use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;
@@ -59,7 +61,8 @@ const MAX_TILT: f64 = 1e-3;
 /// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
 ///
 /// # Returns
-/// The map of both, sorted and valid, with the joint covariance of all keyframes.
+/// The map of both, sorted and valid, with the joint covariance of all keyframes: approximated where there are many (`joint_covariance`), but
+/// never what a map states whose poses are [considered](MapPoses::Considered).
 ///
 /// # Errors
 /// [`ExtendError`], with what to do.
@@ -124,23 +127,11 @@ pub fn extend_map(
     let constraints = constraints(&builder, &both, &stored_poses, Vec::new());
     let mut both = builder.adjust(&constraints, both, ROUNDS);
     stored_poses.follow(&mut both.poses);
-    let mut views = keyframes(&builder.views);
-    views.extend(builder.views.len()..both.poses.len());
     let covariance = state_covariance(&builder.rig.cameras, &constraints, &both, sigma_px)?;
     [report.map_chi_square, report.map_freedom] = own_poses.moved(&both.poses, &covariance);
-    let joint = stated_covariance(
-        &covariance,
-        &constraints,
-        &both,
-        (&views, image_count(&builder.views) + stored.keyframes.len()),
-        std::slice::from_ref(&stored_poses),
-        builder.progress,
-    );
+    let joint = joint_covariance(&mut builder, &covariance, &constraints, &both, &stored_poses);
     if options.map_poses == MapPoses::Considered {
-        let first = builder.views.len();
-        for (pose, keyframe) in both.poses[first..].iter_mut().zip(&stored.keyframes) {
-            *pose = keyframe.global_from_keyframe.pose;
-        }
+        stored_poses.reset(&mut both.poses);
     }
     let mut contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
     find_aliases(&mut contents, builder.progress)?;
@@ -230,6 +221,27 @@ fn constraints(
         stored: vec![stored.prior()],
         ties: Vec::new(),
         own_frame: None,
+    }
+}
+
+/// The covariances of the views that become keyframes, and of those of the map.
+fn joint_covariance(
+    builder: &mut Builder<'_, '_>,
+    covariance: &StateCovariance,
+    constraints: &Constraints,
+    both: &Bundle,
+    stored: &StoredPoses,
+) -> JointCovariance {
+    let mut views = keyframes(&builder.views);
+    let new = views.len();
+    views.extend(builder.views.len()..both.poses.len());
+    match builder.options.map_poses {
+        MapPoses::Considered => located_covariance(covariance, both, (&views, new), stored, builder.progress),
+        MapPoses::Adjusted => {
+            let all = image_count(&builder.views) + views.len() - new;
+            let stored = std::slice::from_ref(stored);
+            stated_covariance(covariance, constraints, both, (&views, all), stored, builder.progress)
+        }
     }
 }
 

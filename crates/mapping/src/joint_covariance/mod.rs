@@ -13,6 +13,9 @@
 //! a correlation function `T` of the distance (`taper`). Both terms are covariances, the second one as the product of two
 //! (Schur). The diagonal is that of `P`.
 //!
+//! Where a recording is located in a map whose poses stay as they are, the blocks of the map stay as it states them, and every block of
+//! the new poses is stated (`covariance_of_new`).
+//!
 //! Of a map that defines its own frame, `P` is relative to the map as a whole ([`frame`]).
 //!
 //! Derivation and figures: `docs/src/derivations/joint-covariance.md`.
@@ -188,6 +191,38 @@ pub(super) fn joint_covariance(
         common: views.iter().copied().zip(common).collect(),
         cross: cross.into_iter().map(|(i, j, block)| (views[i], views[j], block)).collect(),
     }
+}
+
+/// The covariances of new poses with each other and with those of a map, which states its own ones already: every block, whatever their
+/// number.
+///
+/// An approximation of these alone would leave no covariance together with what the map states, and one of all blocks would approximate
+/// those of the map again with every recording that is located in it.
+///
+/// # Arguments
+/// * `views`: the new ones, then those of the map; `new` of them are new.
+/// * `posterior`: of these views.
+pub(super) fn covariance_of_new(
+    posterior: &Posterior<'_>,
+    views: &[usize],
+    new: usize,
+    mut progress: impl FnMut(usize, usize),
+) -> JointCovariance {
+    let mut joint = JointCovariance::of_independent(BTreeMap::new());
+    let mut next = 0;
+    parallel::for_each(
+        new,
+        |j| posterior.column(j),
+        |column| {
+            let j = next;
+            next += 1;
+            progress(j, new);
+            joint.own.insert(views[j], (column[j] + column[j].transpose()) * 0.5);
+            joint.cross.extend((0..j).map(|i| (views[i], views[j], column[i])));
+            joint.cross.extend((new..views.len()).map(|i| (views[j], views[i], column[i].transpose())));
+        },
+    );
+    joint
 }
 
 /// A [`JointCovariance`] by the order of the poses.

@@ -29,16 +29,16 @@ const NEGLIGIBLE: f64 = 1e-3;
 /// What a map states of the errors of new keyframes beside the covariance of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LocatedErrors {
-    pub(super) common: Vec<CommonError>,
+    pub(crate) common: Vec<CommonError>,
     /// With keyframes of the map, and with each other.
-    pub(super) cross: Vec<KeyframeCrossCovariance>,
+    pub(crate) cross: Vec<KeyframeCrossCovariance>,
 }
 
 /// The errors of new keyframes in the form of the map that they were located in.
 ///
 /// # Arguments
 /// * `map`: sorted; without them.
-/// * `part`: the keyframes of the map that they were located in.
+/// * `part`: the keyframes of the map that they were located in; all of them where it was located in the whole map.
 /// * `extended`: the part of the map and the new keyframes, sorted, with the poses of the part as in the map.
 ///
 /// # Returns

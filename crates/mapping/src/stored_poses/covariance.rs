@@ -124,6 +124,15 @@ impl MapCovariance {
     }
 }
 
+/// A covariance whose variances are the lower bounds at least. What is above them stays as it is.
+pub(super) fn bounded(covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    let mut bounded = *covariance;
+    for index in 0..POSE {
+        bounded[(index, index)] = bounded[(index, index)].max(MIN_SIGMAS[index / 3].powi(2));
+    }
+    bounded
+}
+
 /// The 6 rows of each of some keyframes.
 pub(super) fn rows_of(matrix: &DMatrix<f64>, keyframes: &[usize]) -> DMatrix<f64> {
     let mut rows = DMatrix::zeros(POSE * keyframes.len(), matrix.ncols());

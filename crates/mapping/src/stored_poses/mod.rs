@@ -31,7 +31,7 @@ use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
 pub(crate) use covariance::MapCovariance;
-use covariance::rows_of;
+use covariance::{bounded, rows_of};
 pub(crate) use posterior::Posterior;
 
 /// Yaw and position of a map.
@@ -43,7 +43,9 @@ pub(crate) struct StoredPoses {
     first: usize,
     /// Means, `global_from_camera`.
     means: Vec<Pose>,
-    /// P.
+    /// The covariance of each keyframe, as the map states it.
+    stated: Vec<Matrix6<f64>>,
+    /// P, with the lower bound of [`MapCovariance`].
     covariance: MapCovariance,
     /// T, in order.
     tied: Vec<usize>,
@@ -96,10 +98,11 @@ impl StoredPoses {
         for &keyframe in &tied {
             follows[keyframe] = false;
         }
-        let means = contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose).collect();
+        let poses = || contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe);
         Some(StoredPoses {
             first,
-            means,
+            means: poses().map(|pose| pose.pose).collect(),
+            stated: poses().map(|pose| pose.covariance).collect(),
             covariance,
             tied,
             follows,
@@ -140,6 +143,12 @@ impl StoredPoses {
         self.tied.iter().map(|keyframe| self.first + keyframe)
     }
 
+    /// The covariance of each keyframe by its view, as the map states it. One that the map takes for exact has the lower bound with which
+    /// it takes part in an adjustment: what is located in it has cross-covariances with it.
+    pub(crate) fn stated(&self) -> impl Iterator<Item = (usize, Matrix6<f64>)> {
+        self.stated.iter().enumerate().map(|(keyframe, stated)| (self.first + keyframe, bounded(stated)))
+    }
+
     /// What the map says of the poses of T.
     pub(crate) fn prior(&self) -> JointPrior {
         let information = self.frame.as_ref().map_or(&self.information, |frame| &frame.information);
@@ -169,6 +178,14 @@ impl StoredPoses {
             let error = followed.fixed_view::<POSE, 1>(POSE * keyframe, 0).into_owned();
             poses[self.first + keyframe] = mean.retract(&error);
         }
+    }
+
+    /// Moves all poses of the map to where it states them.
+    ///
+    /// # Arguments
+    /// * `poses`: of all views.
+    pub(crate) fn reset(&self, poses: &mut [Pose]) {
+        poses[self.first..self.first + self.means.len()].copy_from_slice(&self.means);
     }
 
     /// How a keyframe of R depends on those of T.
