@@ -38,13 +38,13 @@ pub enum Refusal {
     },
     /// Its pixels do not fit its own trajectory.
     #[error(
-        "it contradicts itself: its pixels fit its trajectory to {sigma_px:.1} px, those of the map to {map_px:.1} px, and at most \
-         {limit:.1} px are allowed. Is the calibration the robot's? (`driftless check-calibration`)"
+        "it contradicts itself: its pixels fit its trajectory to {sigma_px:.1} px, those of the map's first session to {map_px:.1} px, and \
+         at most {limit:.1} px are allowed. Is the calibration the robot's? (`driftless check-calibration`)"
     )]
     Pixels {
         /// Pixel noise of the session (px).
         sigma_px: f64,
-        /// That of the map (px).
+        /// That of the session that the map began with (px).
         map_px: f64,
         /// The largest that is allowed (px).
         limit: f64,

@@ -78,6 +78,7 @@ pub(crate) fn take_session_by_parts(
         let Taken { mut contents, report, .. } = work.take(map, None)?;
         remove_gone_of_added_kinds(&mut contents, &report.gone_m);
         contents.count_sessions();
+        contents.info.sigma_px = contents.info.covering_sigma_px();
         contents.validate()?;
         *map = contents;
         return Ok(report);
@@ -93,6 +94,7 @@ pub(crate) fn take_session_by_parts(
     contents.validate()?;
     let has_new = report.kept_keyframes > 0;
     put_back(map, &part, contents, &lost, errors);
+    map.info.sigma_px = map.info.covering_sigma_px();
     remove_gone_of_added_kinds(map, &report.gone_m);
     if has_new {
         find_aliases_of_independent(map, work.progress).map_err(ExtendError::from)?;
@@ -162,9 +164,6 @@ impl Work<'_, '_> {
         if contents.keyframes.is_empty() {
             return Err(Refusal::NothingLeft);
         }
-        if !contents.keyframes.iter().any(|keyframe| ids.contains(&keyframe.id)) {
-            contents.info.sigma_px = map.info.sigma_px;
-        }
         contents.sort();
         let of_map = |removed: &BTreeSet<KeyframeId>| removed.iter().filter(|id| !ids.contains(id)).count();
         let kept = contents.keyframes.iter().filter(|keyframe| ids.contains(&keyframe.id));
@@ -232,6 +231,9 @@ fn check_places(extension: &ExtensionReport, settings: &Settings) -> Result<(), 
 }
 
 /// Checks that a session agrees with the map, as far as both state it.
+///
+/// Its pixels are compared with those of the session that the map began with, not with the noise that the map states: that covers the noisiest
+/// session of which there are keyframes, so that each could let in one that is noisier by the same factor again.
 fn check_consistency(
     map: &MapContents,
     extension: &ExtensionReport,
@@ -239,9 +241,10 @@ fn check_consistency(
 ) -> Result<(), Refusal> {
     check_places(extension, settings)?;
     let sigma_px = extension.sigma_px;
-    let limit = settings.max_pixel_ratio * map.info.sigma_px;
+    let map_px = map.info.first_sigma_px();
+    let limit = settings.max_pixel_ratio * map_px;
     if sigma_px > limit {
-        return Err(Refusal::Pixels { sigma_px, map_px: map.info.sigma_px, limit });
+        return Err(Refusal::Pixels { sigma_px, map_px, limit });
     }
     let (chi_square, freedom) = (extension.map_chi_square, extension.map_freedom);
     let quantile = ChiSquared::new(freedom).map_or(0.0, |distribution| distribution.inverse_cdf(CONFIDENCE));
@@ -254,6 +257,8 @@ fn check_consistency(
 
 #[cfg(test)]
 mod tests {
+    use testing::{Place, PlaceOptions};
+
     use super::*;
 
     /// A session of 30 keyframes.
@@ -277,6 +282,25 @@ mod tests {
             assert_eq!(refusal.kind(), "other-place", "{refusal}");
             assert!(!refusal.to_string().contains("calibration"), "{refusal}");
         }
+    }
+
+    /// A session of some noise, to a map that began with one of 1 px and states 2.9 px since another one came.
+    fn judged_by_pixels(sigma_px: f64) -> Result<(), Refusal> {
+        let mut map =
+            Place::new(&PlaceOptions { keyframes: 4, landmarks: 20, ..PlaceOptions::default() }).map;
+        map.ensure_sessions("first");
+        map.info.sessions[0].sigma_px = Some(1.0);
+        map.info.sigma_px = 2.9;
+        let mut extension = ExtensionReport::default();
+        extension.sigma_px = sigma_px;
+        check_consistency(&map, &extension, &Settings::default())
+    }
+
+    #[test]
+    fn a_noisy_session_lets_no_noisier_one_in() {
+        judged_by_pixels(2.9).unwrap();
+        let refusal = judged_by_pixels(3.1).unwrap_err();
+        assert!(matches!(refusal, Refusal::Pixels { map_px: 1.0, .. }), "{refusal}");
     }
 
     #[test]

@@ -36,7 +36,7 @@ pub struct Settings {
     pub max_map_ratio: f64,
     /// A session is refused when fewer of the keyframes that show a place of the map agree with its trajectory.
     pub min_agreeing: f64,
-    /// A session is refused when its pixels fit its own trajectory worse than the map's, by this factor.
+    /// A session is refused when its pixels fit its own trajectory worse than those of the session that the map began with, by this factor.
     pub max_pixel_ratio: f64,
 }
 

@@ -40,7 +40,8 @@ pub struct MapMetadata {
     pub descriptor_kind: DescriptorKind,
     /// Bytes in each descriptor.
     pub descriptor_width: u16,
-    /// Standard deviation of the map's pixels (px), one value for both axes.
+    /// Standard deviation of the map's pixels (px), one value for both axes. It covers those of all sessions, see
+    /// [`MapMetadata::covering_sigma_px`].
     pub sigma_px: f64,
     /// Name and version of the extractor that computed the descriptors, like `sift-1`; empty where unknown.
     pub extractor: String,

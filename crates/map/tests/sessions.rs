@@ -183,6 +183,28 @@ fn a_ledger_that_is_not_true_is_named() {
     assert!(said.contains("listed twice"), "{said}");
     let said = refused(&|map| map.info.sessions[0].name = "a\u{1b}[2J".to_owned());
     assert!(said.contains("control characters"), "{said}");
+    let said = refused(&|map| map.info.sessions[0].sigma_px = Some(0.0));
+    assert!(said.contains("pixel sigma"), "{said}");
+}
+
+#[test]
+fn the_noise_of_a_map_is_that_of_the_noisiest_session_that_it_has_keyframes_of() {
+    let mut map = two_drives();
+    map.info.sigma_px = 2.5;
+    map.count_sessions();
+    // Of sessions of which it is not known, it is at most that of the map.
+    assert_eq!((map.info.covering_sigma_px(), map.info.first_sigma_px()), (2.5, 2.5));
+    map.info.sessions[0].sigma_px = Some(0.8);
+    assert_eq!((map.info.covering_sigma_px(), map.info.first_sigma_px()), (2.5, 0.8));
+    map.info.sessions = map.info.sessions_with_noise();
+    assert_eq!(map.info.sessions[1].sigma_px, Some(2.5));
+    let tuesday = map.info.sessions[1].ids();
+    let removed = edit::keyframes_where(&map, |keyframe: &Keyframe| tuesday.contains(&keyframe.id));
+    edit::remove_keyframes(&mut map, &removed);
+    map.count_sessions();
+    assert_eq!((map.info.covering_sigma_px(), map.info.first_sigma_px()), (0.8, 0.8));
+    // It is stored with the ledger.
+    assert_eq!(stored(&map).info.sessions[1].sigma_px, Some(2.5));
 }
 
 #[test]

@@ -87,7 +87,7 @@ pub fn build_map(
         .transpose()?;
     let mut contents =
         assemble::map_contents(&rig, &views, &bundle, joint.as_ref(), report.sigma_px, options)?;
-    enter(&mut contents.info, session_of(sequence, options), &contents.keyframes);
+    enter(&mut contents.info, session_of(sequence, options), report.sigma_px, &contents.keyframes);
     contents.count_sessions();
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, cameras, &views, &bundle, &contents);

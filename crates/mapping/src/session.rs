@@ -35,10 +35,13 @@ fn recorded_of(sequence: &Sequence, options: &BuildOptions) -> Recorded {
 }
 
 /// Enters a session with its keyframes into a ledger, behind those that are there.
-pub(super) fn enter(info: &mut MapMetadata, session: Session, keyframes: &[Keyframe]) {
+///
+/// # Arguments
+/// * `sigma_px`: standard deviation of its pixels (px).
+pub(super) fn enter(info: &mut MapMetadata, session: Session, sigma_px: f64, keyframes: &[Keyframe]) {
     let ids = || keyframes.iter().map(|keyframe| keyframe.id);
     if let Some((first, last)) = ids().min().zip(ids().max()) {
-        info.sessions.push(Session { keyframe_ids: [first, last], ..session });
+        info.sessions.push(Session { keyframe_ids: [first, last], sigma_px: Some(sigma_px), ..session });
     }
 }
 

@@ -98,7 +98,7 @@ pub fn build_map_from_odometry(
     let mut contents =
         assemble::map_contents(&rig, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     contents.info.own_frame = constraints.own_frame.is_some();
-    enter(&mut contents.info, session, &contents.keyframes);
+    enter(&mut contents.info, session, report.sigma_px, &contents.keyframes);
     contents.count_sessions();
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &rig.cameras, &views, &bundle, &contents);

@@ -43,10 +43,10 @@ pub enum LedgerProblem {
         /// Its id.
         id: SessionId,
     },
-    /// A text cannot be one, or samples of readings cannot be.
+    /// A text cannot be one, or samples of readings cannot be, or the noise of its pixels.
     #[error(
-        "session {id} has a name, a robot or a program of more than {MAX_TEXT_BYTES} bytes or with control characters, or samples of \
-         readings that are not in order"
+        "session {id} has a name, a robot or a program of more than {MAX_TEXT_BYTES} bytes or with control characters, samples of \
+         readings that are not in order, or a pixel sigma that is not positive"
     )]
     Unusable {
         /// Its id.
@@ -163,4 +163,5 @@ fn is_usable(session: &Session) -> bool {
     texts.all(|text| text.len() <= MAX_TEXT_BYTES && !text.chars().any(char::is_control))
         && session.samples.is_valid()
         && session.begin_ns <= session.end_ns
+        && session.sigma_px.is_none_or(|sigma_px| sigma_px.is_finite() && sigma_px > 0.0)
 }

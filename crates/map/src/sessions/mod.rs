@@ -10,6 +10,7 @@
 //! | `recorded` | [`RecordedDigest`]: what of a recording identifies it |
 //! | `overlap` | [`SessionOverlap`]: two sessions with the same readings |
 //! | `counting` | what each session has in a map |
+//! | `pixel_noise` | the noise of the map's pixels, by that of its sessions |
 //! | `audit` | [`LedgerProblem`]: whether the ledger agrees with the map |
 //! | `difference` | [`SessionDifference`]: sessions that came and went |
 
@@ -17,6 +18,7 @@ mod audit;
 mod counting;
 mod difference;
 mod overlap;
+mod pixel_noise;
 mod recorded;
 mod session;
 mod utc_time;

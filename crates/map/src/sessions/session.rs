@@ -50,7 +50,7 @@ impl<'de> Deserialize<'de> for SessionId {
 }
 
 /// A recording that a map was made of, and what the map has of it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Session {
     /// Digest of what was recorded; of an imported map without a ledger, of its keyframes.
@@ -69,6 +69,10 @@ pub struct Session {
     pub readings: u64,
     /// A sample of these readings: they tell a piece of a recording from another recording.
     pub samples: ReadingSamples,
+    /// Standard deviation of its pixels (px), as given or as its own trajectory fits them; `None` where it is not known, then that of the map
+    /// covers it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_px: Option<f64>,
     /// First and last of the ids that its keyframes were given.
     pub keyframe_ids: [KeyframeId; 2],
     /// Keyframes of it that the map has. A store counts them.
@@ -98,6 +102,7 @@ impl Session {
             images: recorded.images,
             readings: recorded.readings,
             samples: recorded.samples,
+            sigma_px: None,
             keyframe_ids: [0; 2],
             keyframes: 0,
             observations: 0,

@@ -49,6 +49,7 @@ pub(super) fn extended(
         ..MapContents::empty(stored.info.clone())
     };
     contents.ensure_sessions(&stored.info.name);
+    contents.info.sessions = contents.info.sessions_with_noise();
     contents.info.sigma_px = stored.info.sigma_px.max(sigma_px);
     for (at, keyframe) in contents.keyframes.iter_mut().enumerate() {
         let view = views + at;
@@ -57,7 +58,7 @@ pub(super) fn extended(
     for keyframe in &mut recording.keyframes {
         keyframe.id += ids.last_keyframe;
     }
-    enter(&mut contents.info, builder.session(), &recording.keyframes);
+    enter(&mut contents.info, builder.session(), sigma_px, &recording.keyframes);
     contents.keyframes.append(&mut recording.keyframes);
     add_observations(&mut contents.landmarks, &again, builder, ids.last_keyframe);
     if builder.options.map_poses == MapPoses::Considered {

@@ -73,7 +73,11 @@ fn shift(mut ids: impl Iterator<Item = u64>) -> u64 {
 
 /// The ledger of both: that of the first map, then that of the second one, whose keyframes have other ids now.
 fn sessions(first: &MapContents, second: &MapContents, last_keyframe: KeyframeId) -> Vec<Session> {
-    let [mut sessions, of_second] = [first, second].map(|map| map.sessions_or_one(&map.info.name));
+    let [mut sessions, of_second] = [first, second].map(|map| {
+        let mut info = map.info.clone();
+        info.sessions = map.sessions_or_one(&map.info.name);
+        info.sessions_with_noise()
+    });
     sessions.extend(of_second.into_iter().map(|session| {
         let keyframe_ids = session.keyframe_ids.map(|id| id + last_keyframe);
         Session { keyframe_ids, ..session }
