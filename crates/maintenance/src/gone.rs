@@ -8,7 +8,7 @@ use mapping::BuildReport;
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
-use crate::existence::{ExistenceModel, log_odds, probability, updated};
+use crate::existence::{ExistenceModel, is_independent, log_odds, probability, updated};
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
 use crate::sightings::Sighting;
@@ -20,7 +20,7 @@ const SAME_OBJECT_M: f64 = 0.3;
 /// Landmarks that are there with a smaller probability support no keyframe. One that nobody passes keeps at least half of one.
 const MIN_SUPPORT: f64 = 0.2;
 
-/// Updates the existence of landmarks by what a session shows of them.
+/// Updates the existence of landmarks by what a session shows of them, where it is independent of the last one that counted.
 ///
 /// # Arguments
 /// * `session`: ids of its keyframes.
@@ -42,8 +42,13 @@ pub(crate) fn update_existence(
     let before = |sighting: &Sighting| {
         let landmark = &contents.landmarks[sighting.landmark];
         let mut of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
-        of.log_odds = model.predicted(of.log_odds, stamp_ns.saturating_sub(of.stamp_ns));
-        of
+        let elapsed_ns = stamp_ns.saturating_sub(of.stamp_ns);
+        let counts = is_independent(elapsed_ns, settings.independent_ns());
+        if counts {
+            of.log_odds = model.predicted(of.log_odds, elapsed_ns);
+            of.stamp_ns = stamp_ns;
+        }
+        (of, counts)
     };
     let expected: Vec<Shown> = sightings
         .iter()
@@ -51,7 +56,7 @@ pub(crate) fn update_existence(
         .map(|sighting| Shown {
             exposures: sighting.exposures,
             seen: sighting.seen,
-            log_odds: before(sighting).log_odds,
+            log_odds: before(sighting).0.log_odds,
         })
         .collect();
     let rates = DetectionRates::learned(&expected, FALSE_SIGHTING);
@@ -63,9 +68,11 @@ pub(crate) fn update_existence(
         }
     }
     for sighting in sightings {
-        let mut of = before(sighting);
-        of.log_odds = updated(of.log_odds, sighting.seen, rates.of(sighting.exposures), FALSE_SIGHTING);
-        of.stamp_ns = of.stamp_ns.max(stamp_ns);
+        let (mut of, counts) = before(sighting);
+        if counts {
+            let rate = rates.of(sighting.exposures);
+            of.log_odds = updated(of.log_odds, sighting.seen, rate, FALSE_SIGHTING);
+        }
         if sighting.seen {
             of.seen_ns = of.seen_ns.max(stamp_ns);
         }

@@ -142,7 +142,7 @@ pub struct LandmarkExistence {
     pub landmark: LandmarkId,
     /// Natural logarithm of the odds that it is there, at `stamp_ns`.
     pub log_odds: f64,
-    /// Time of the last session that saw or missed it (ns).
+    /// Time of the last session that saw or missed it and was independent of the one before (ns).
     pub stamp_ns: i64,
     /// Time at which it was seen last (ns).
     pub seen_ns: i64,

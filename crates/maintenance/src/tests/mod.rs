@@ -198,3 +198,71 @@ fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
     assert_eq!(left.len() + removed, all.len());
     assert!(map.existence.iter().all(|of| probability(of.log_odds) > 0.9));
 }
+
+/// Until a robot begins a new session (ns).
+const PIECE_NS: i64 = 600_000_000_000;
+
+/// Updates the existence of all landmarks by a session that passed them three times.
+fn pass(map: &mut MapContents, end_ns: i64, is_seen: impl Fn(u64) -> bool, settings: &Settings) {
+    let sighting =
+        |(landmark, of): (usize, &map::Landmark)| Sighting { landmark, exposures: 3, seen: is_seen(of.id) };
+    let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
+    update_existence(map, &sightings, &(0..=0), end_ns, settings);
+}
+
+#[test]
+fn pieces_of_one_drive_count_as_one_session() {
+    let settings = Settings::default();
+    let missed: BTreeSet<u64> = place().landmarks.iter().map(|landmark| landmark.id).step_by(4).collect();
+    let missed_by = |ends_ns: &[i64]| {
+        let mut map = place();
+        for end_ns in ends_ns {
+            pass(&mut map, *end_ns, |id| !missed.contains(&id), &settings);
+        }
+        let existence = map.existence.clone();
+        (existence, remove_gone(&mut map, &settings).landmarks.len())
+    };
+    let first_ns = FIRST_NS + 4 * DAY_NS;
+    let (of_one, _) = missed_by(&[first_ns]);
+    let pieces: Vec<i64> = (0..48).map(|piece| first_ns + piece * PIECE_NS).collect();
+    let (of_pieces, gone) = missed_by(&pieces);
+    assert_eq!(gone, 0);
+    for (one, pieces) in of_one.iter().zip(&of_pieces) {
+        assert_eq!((one.log_odds.to_bits(), one.stamp_ns), (pieces.log_odds.to_bits(), pieces.stamp_ns));
+        // When it was seen last is known to the piece.
+        let seen_ns = if missed.contains(&one.landmark) { one.seen_ns } else { first_ns + 47 * PIECE_NS };
+        assert_eq!(pieces.seen_ns, seen_ns);
+    }
+    // One that is handed in late says nothing of what is known since; as many on as many days take all of them out.
+    assert_eq!(missed_by(&[first_ns, first_ns - 2 * DAY_NS]).0, of_one);
+    let days: Vec<i64> = (0..48).map(|day| first_ns + day * DAY_NS).collect();
+    assert_eq!(missed_by(&days).1, missed.len());
+}
+
+/// The law of an unchanged place, where all pieces of a drive see and miss the same.
+#[test]
+fn drives_in_pieces_take_out_no_more_of_an_unchanged_place_than_is_stated() {
+    let settings = Settings::default();
+    let (drives, every_ns) = (50, 365 * DAY_NS / 100);
+    let half_lives = (drives * every_ns) as f64 / settings.half_life_ns();
+    let against = (1.0 - settings.new_existence) / settings.new_existence;
+    let stated = (against + 0.5 * std::f64::consts::LN_2 * half_lives) * settings.min_existence
+        / (1.0 - settings.min_existence);
+    for detection in [0.5, 0.7, 0.9] {
+        let mut rng = StdRng::seed_from_u64(3);
+        let mut map = place();
+        let (all, mut lost) = (map.landmarks.len(), 0);
+        for drive in 1..=drives {
+            let seen: BTreeSet<u64> = map.landmarks.iter().map(|landmark| landmark.id).collect();
+            let seen: BTreeSet<u64> = seen.into_iter().filter(|_| rng.random_bool(detection)).collect();
+            for piece in 0..6 {
+                let end_ns = FIRST_NS + drive * every_ns + piece * PIECE_NS;
+                pass(&mut map, end_ns, |id| seen.contains(&id), &settings);
+                lost += remove_gone(&mut map, &settings).landmarks.len();
+            }
+        }
+        let share = lost as f64 / all as f64;
+        println!("seen with {detection}: {share:.4} lost in half a year, at most {stated:.4} stated");
+        assert!(share <= stated, "{share} of {stated}");
+    }
+}
