@@ -5,8 +5,7 @@
 //! ```text
 //! p(t + Δ) = π + (p(t) - π) exp(-κ Δ),    κ = ln 2 / T
 //! ```
-//! A session that expected it multiplies the odds by the ratio of the likelihoods of what it saw, where it is independent of the last one that
-//! counted ([`is_independent`]).
+//! A session that expected it multiplies the odds by the ratio of the likelihoods of what it saw, once a [drive](crate::drive).
 //!
 //! Source: the two-state case of the forward recursion, Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 1989, III.A; the filter
 //! of persistence of features is due to Rosen, Mason & Leonard, ICRA 2016.
@@ -55,19 +54,6 @@ impl ExistenceModel {
 pub(crate) fn updated(before: f64, seen: bool, detection: f64, false_sighting: f64) -> f64 {
     let ratio = if seen { detection / false_sighting } else { (1.0 - detection) / (1.0 - false_sighting) };
     (before + ratio.ln()).clamp(-MAX_LOG_ODDS, MAX_LOG_ODDS)
-}
-
-/// Whether a session says something of a landmark beyond the last one that counted.
-///
-/// Sessions that follow each other, such as the pieces of one drive, share light and viewpoint: what one of them misses the others miss, too.
-/// The first one counts, and the next one that comes so much later; so there is one in any such time, however drives are cut.
-///
-/// # Arguments
-/// * `elapsed_ns`: from the end of the last session that counted to that of this one; one that was handed in late, and ended before, does not
-///   count.
-/// * `independent_ns`: time after which sessions are independent.
-pub(crate) fn is_independent(elapsed_ns: i64, independent_ns: f64) -> bool {
-    elapsed_ns as f64 >= independent_ns
 }
 
 /// The probability of log-odds.

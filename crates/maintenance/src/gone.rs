@@ -8,7 +8,7 @@ use mapping::BuildReport;
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
-use crate::existence::{ExistenceModel, is_independent, log_odds, probability, updated};
+use crate::existence::{ExistenceModel, log_odds, probability, updated};
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
 use crate::sightings::Sighting;
@@ -20,11 +20,12 @@ const SAME_OBJECT_M: f64 = 0.3;
 /// Landmarks that are there with a smaller probability support no keyframe. One that nobody passes keeps at least half of one.
 const MIN_SUPPORT: f64 = 0.2;
 
-/// Updates the existence of landmarks by what a session shows of them, where it is independent of the last one that counted.
+/// Updates the existence of landmarks by what a session shows of them, unless another piece of its drive showed it.
 ///
 /// # Arguments
 /// * `session`: ids of its keyframes.
 /// * `stamp_ns`: when it ended.
+/// * `drive`: the time of the drive that it is a piece of (ns).
 ///
 /// # Returns
 /// How likely the session saw a landmark that was there.
@@ -33,6 +34,7 @@ pub(crate) fn update_existence(
     sightings: &[Sighting],
     session: &RangeInclusive<KeyframeId>,
     stamp_ns: i64,
+    drive: &RangeInclusive<i64>,
     settings: &Settings,
 ) -> DetectionRates {
     let model = ExistenceModel::new(settings.half_life_ns());
@@ -42,11 +44,10 @@ pub(crate) fn update_existence(
     let before = |sighting: &Sighting| {
         let landmark = &contents.landmarks[sighting.landmark];
         let mut of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
-        let elapsed_ns = stamp_ns.saturating_sub(of.stamp_ns);
-        let counts = is_independent(elapsed_ns, settings.independent_ns());
+        let counts = !drive.contains(&of.stamp_ns);
         if counts {
-            of.log_odds = model.predicted(of.log_odds, elapsed_ns);
-            of.stamp_ns = stamp_ns;
+            of.log_odds = model.predicted(of.log_odds, stamp_ns.saturating_sub(of.stamp_ns));
+            of.stamp_ns = of.stamp_ns.max(stamp_ns);
         }
         (of, counts)
     };

@@ -13,6 +13,7 @@
 
 mod appearance;
 mod coverage;
+mod drive;
 mod existence;
 mod gone;
 mod map_index;

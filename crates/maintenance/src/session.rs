@@ -14,6 +14,7 @@ use sensors::Sequence;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 use crate::coverage::surplus;
+use crate::drive::drive_of;
 use crate::gone::{remove_gone, remove_gone_of_added_kinds, update_existence};
 use crate::refusal::Refusal;
 use crate::report::{RemovedKeyframes, SessionReport};
@@ -146,14 +147,16 @@ impl Work<'_, '_> {
         let errors = whole.map(|(whole, part)| located_errors(whole, part, &contents));
         let errors = errors.unwrap_or_else(|| Some(LocatedErrors::default()));
         let errors = errors.ok_or(ExtendError::Indefinite)?;
-        let stamp_ns = contents.info.sessions.last().map_or(0, |session| session.end_ns);
+        let added = contents.info.sessions.last();
+        let stamp_ns = added.map_or(0, |session| session.end_ns);
+        let drive = added.map_or(0..=0, |session| drive_of(session, &contents.info.sessions));
         let features: BTreeMap<i64, &FeatureSet> = sequence
             .frames
             .iter()
             .filter_map(|frame| Some((frame.stamp_ns, frame.features.as_ref()?)))
             .collect();
         let sightings = sightings(&contents, &ids, &features);
-        let detection_rates = update_existence(&mut contents, &sightings, &ids, stamp_ns, settings);
+        let detection_rates = update_existence(&mut contents, &sightings, &ids, stamp_ns, &drive, settings);
         let removed = remove_gone(&mut contents, settings);
         let outside = whole.map(|(whole, part)| observed_outside(whole, part)).unwrap_or_default();
         let surplus = surplus(&contents, &ids, &outside, stamp_ns, settings);

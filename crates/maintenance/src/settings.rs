@@ -12,9 +12,6 @@
 pub struct Settings {
     /// Time in which what is known of a landmark that nobody passes becomes half as certain (days).
     pub half_life_days: f64,
-    /// Time after which what a session sees and misses of a landmark is independent of the last session that counted (hours): those in between,
-    /// such as the other pieces of its drive, see the same by the same light, and do not count.
-    pub independent_hours: f64,
     /// Landmarks that exist with a smaller probability are taken out.
     pub min_existence: f64,
     /// Probability that a landmark exists when it enters the map.
@@ -47,7 +44,6 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             half_life_days: 90.0,
-            independent_hours: 12.0,
             min_existence: 0.05,
             new_existence: 0.8,
             keyframes_a_place: 2,
@@ -68,10 +64,5 @@ impl Settings {
     /// The half-life (ns).
     pub(crate) fn half_life_ns(&self) -> f64 {
         self.half_life_days * 86_400e9
-    }
-
-    /// [`Settings::independent_hours`] (ns).
-    pub(crate) fn independent_ns(&self) -> f64 {
-        self.independent_hours * 3600e9
     }
 }

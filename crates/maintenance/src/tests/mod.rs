@@ -181,8 +181,8 @@ fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
             seen: !missed.contains(&of.id),
         };
         let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
-        let rates =
-            update_existence(&mut map, &sightings, &(0..=0), FIRST_NS + session * 4 * DAY_NS, &settings);
+        let end_ns = FIRST_NS + session * 4 * DAY_NS;
+        let rates = update_existence(&mut map, &sightings, &(0..=0), end_ns, &(end_ns..=end_ns), &settings);
         assert!(rates.of(3) >= 0.7, "{rates:?}");
         removed += remove_gone(&mut map, &settings).landmarks.len();
         map.sort();
@@ -203,28 +203,36 @@ fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
 const PIECE_NS: i64 = 600_000_000_000;
 
 /// Updates the existence of all landmarks by a session that passed them three times.
-fn pass(map: &mut MapContents, end_ns: i64, is_seen: impl Fn(u64) -> bool, settings: &Settings) {
+///
+/// # Arguments
+/// * `begin_ns`: of the drive.
+fn pass(
+    map: &mut MapContents,
+    [begin_ns, end_ns]: [i64; 2],
+    is_seen: impl Fn(u64) -> bool,
+    settings: &Settings,
+) {
     let sighting =
         |(landmark, of): (usize, &map::Landmark)| Sighting { landmark, exposures: 3, seen: is_seen(of.id) };
     let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
-    update_existence(map, &sightings, &(0..=0), end_ns, settings);
+    update_existence(map, &sightings, &(0..=0), end_ns, &(begin_ns..=end_ns), settings);
 }
 
 #[test]
 fn pieces_of_one_drive_count_as_one_session() {
     let settings = Settings::default();
     let missed: BTreeSet<u64> = place().landmarks.iter().map(|landmark| landmark.id).step_by(4).collect();
-    let missed_by = |ends_ns: &[i64]| {
+    let missed_by = |drives_ns: &[[i64; 2]]| {
         let mut map = place();
-        for end_ns in ends_ns {
-            pass(&mut map, *end_ns, |id| !missed.contains(&id), &settings);
+        for drive_ns in drives_ns {
+            pass(&mut map, *drive_ns, |id| !missed.contains(&id), &settings);
         }
         let existence = map.existence.clone();
         (existence, remove_gone(&mut map, &settings).landmarks.len())
     };
     let first_ns = FIRST_NS + 4 * DAY_NS;
-    let (of_one, _) = missed_by(&[first_ns]);
-    let pieces: Vec<i64> = (0..48).map(|piece| first_ns + piece * PIECE_NS).collect();
+    let (of_one, _) = missed_by(&[[first_ns; 2]]);
+    let pieces: Vec<[i64; 2]> = (0..48).map(|piece| [first_ns, first_ns + piece * PIECE_NS]).collect();
     let (of_pieces, gone) = missed_by(&pieces);
     assert_eq!(gone, 0);
     for (one, pieces) in of_one.iter().zip(&of_pieces) {
@@ -233,10 +241,9 @@ fn pieces_of_one_drive_count_as_one_session() {
         let seen_ns = if missed.contains(&one.landmark) { one.seen_ns } else { first_ns + 47 * PIECE_NS };
         assert_eq!(pieces.seen_ns, seen_ns);
     }
-    // One that is handed in late says nothing of what is known since; as many on as many days take all of them out.
-    assert_eq!(missed_by(&[first_ns, first_ns - 2 * DAY_NS]).0, of_one);
-    let days: Vec<i64> = (0..48).map(|day| first_ns + day * DAY_NS).collect();
-    assert_eq!(missed_by(&days).1, missed.len());
+    // As many drives take all of them out.
+    let drives: Vec<[i64; 2]> = (0..48).map(|drive| [first_ns + drive * PIECE_NS; 2]).collect();
+    assert_eq!(missed_by(&drives).1, missed.len());
 }
 
 /// The law of an unchanged place, where all pieces of a drive see and miss the same.
@@ -256,8 +263,9 @@ fn drives_in_pieces_take_out_no_more_of_an_unchanged_place_than_is_stated() {
             let seen: BTreeSet<u64> = map.landmarks.iter().map(|landmark| landmark.id).collect();
             let seen: BTreeSet<u64> = seen.into_iter().filter(|_| rng.random_bool(detection)).collect();
             for piece in 0..6 {
-                let end_ns = FIRST_NS + drive * every_ns + piece * PIECE_NS;
-                pass(&mut map, end_ns, |id| seen.contains(&id), &settings);
+                let begin_ns = FIRST_NS + drive * every_ns;
+                let drive_ns = [begin_ns, begin_ns + piece * PIECE_NS];
+                pass(&mut map, drive_ns, |id| seen.contains(&id), &settings);
                 lost += remove_gone(&mut map, &settings).landmarks.len();
             }
         }
