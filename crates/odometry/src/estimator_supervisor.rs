@@ -179,7 +179,11 @@ impl EstimatorSupervisor {
             estimator.resume_wheels(learned);
         }
         for reading in initializer.readings_for(&initial) {
-            estimator.imu(*reading)?;
+            match estimator.imu(*reading) {
+                // It was dropped, as one of a running filter is.
+                Err(error @ EstimatorError::BadImu(_)) => tracing::warn!(%error, "bad IMU reading"),
+                taken => taken?,
+            }
         }
         for reading in self.wheel_readings.drain(..) {
             let _ = estimator.wheels(reading);

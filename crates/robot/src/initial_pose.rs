@@ -312,7 +312,6 @@ impl InitialPoseSearch {
 
 /// Begins to search at a pose, unless the estimate has it.
 fn begun(global_from_imu: &PoseWithCovariance, estimator: &mut Estimator) -> Stage {
-    estimator.expect_pose(global_from_imu);
     let mut prior = Prior {
         global_from_imu: *global_from_imu,
         local_from_imu: estimator.local_from_imu(),
@@ -333,6 +332,7 @@ fn begun(global_from_imu: &PoseWithCovariance, estimator: &mut Estimator) -> Sta
     } else {
         tracing::info!("the map is searched at the operator's pose first");
     }
+    estimator.expect_pose(global_from_imu);
     Stage::Searched(Box::new(prior))
 }
 

@@ -91,6 +91,13 @@ impl Estimator {
         Ok(())
     }
 
+    /// Odometry failed, or the map contradicts `global_from_local`: what GNSS measured before would bring the same one back.
+    pub(super) fn forget_located(&mut self) {
+        if let Some(gnss) = &mut self.gnss {
+            gnss.located.clear();
+        }
+    }
+
     /// Initializes `global_from_local` by the readings since a time, where they fit odometry and show the yaw.
     fn initialize_by_gnss(&mut self, gnss: &mut Gnss, since_ns: i64) {
         let begin = gnss.located.partition_point(|located| located.stamp_ns < since_ns);

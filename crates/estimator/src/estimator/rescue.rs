@@ -17,7 +17,7 @@ use crate::map_update::map_revision::ChangeSize;
 use crate::map_update::place_evidence::SeenPlace;
 use crate::map_update::verification::VerifiedAnswer;
 use crate::propagation::{IMU_DIM, ImuError, ImuState};
-use crate::state::CloneId;
+use crate::state::{CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix6, Vector3, Vector6};
 
@@ -99,6 +99,7 @@ impl Estimator {
     pub(super) fn note_odometry_failure(&mut self) {
         self.support.clear();
         self.map_initializer.note_odometry_failure();
+        self.forget_located();
     }
 
     /// Whether evidence against the state is more than the state has: that of the answers which support it, and at most the odds
@@ -176,6 +177,7 @@ impl Estimator {
             gravity.is_some_and(|gravity| self.map_fixes.tilt(&gravity, REPLACED_AFTER) > MAX_TILT_RAD);
         if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
             self.remove_transform();
+            self.forget_located();
             self.contradiction = None;
             let newest = FixedPose {
                 global_from_imu: fix.global_from_imu,
@@ -270,7 +272,11 @@ impl Estimator {
         let covariance = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| variance(k)));
         let imu_from_local = self.state.imu.local_from_imu.inverse();
         let global_from_imu = PoseWithCovariance::new(motion.global_from_imu, covariance);
-        self.insert_transform(&global_from_imu.change_of_child(&imu_from_local));
+        let global_from_local = global_from_imu.change_of_child(&imu_from_local);
+        // Of the error in G, as the state has it: in the axes of L.
+        let adjoint = rotation_adjoint(&global_from_local.pose);
+        let covariance = adjoint.tr_mul(&global_from_local.covariance) * adjoint;
+        self.insert_transform(&PoseWithCovariance::new(global_from_local.pose, covariance));
     }
 
     /// Moves the state of the IMU without telling the covariance, as an undetected failure would: for tests of recovery.
@@ -279,5 +285,53 @@ impl Estimator {
     /// * `error`: `[δθ, δp, δv, δb_g, δb_a]` in L, rad, metres, m/s, rad/s, m/s^2.
     pub fn displace(&mut self, error: &[f64; IMU_DIM]) {
         self.state.imu = self.state.imu.retract(&ImuError::from_row_slice(error));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CalibratedCamera;
+    use crate::EstimatorConfig;
+    use crate::propagation::ImuMatrix;
+    use geometry::camera::{Camera, Distortion};
+    use geometry::rotation;
+
+    /// Far from the origin of L and turned against it.
+    #[test]
+    fn a_motion_by_fixes_is_as_uncertain_in_the_map_as_it_states() {
+        let camera = Camera {
+            width: 640,
+            height: 480,
+            focal: [400.0; 2],
+            centre: [320.0, 240.0],
+            distortion: Distortion::None,
+        };
+        let config = EstimatorConfig::default();
+        for (yaw, metres) in [(0.0, 0.0), (0.8, 20.0), (1.6, 100.0), (3.1, 100.0)] {
+            let imu = ImuState {
+                local_from_imu: Pose::new(rotation::exp(&(Vector3::z() * 0.3)), Vector3::x() * metres),
+                velocity: Vector3::zeros(),
+                gyroscope_bias: Vector3::zeros(),
+                accelerometer_bias: Vector3::zeros(),
+            };
+            let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-12 };
+            let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
+            let mut estimator = Estimator::new(config.clone(), rig, &initial).unwrap();
+            let turn = rotation::exp(&Vector3::new(0.02, -0.01, yaw));
+            let motion = FixedMotion {
+                global_from_imu: Pose::new(turn, Vector3::new(7.0, -3.0, 1.0)),
+                velocity: Vector3::zeros(),
+                sigma_rotation: 0.01,
+                sigma_position: 0.05,
+                sigma_velocity: 0.1,
+            };
+            estimator.insert_fixed_transform(&motion);
+            let claimed = estimator.filtered_global_from_imu().unwrap();
+            assert!(claimed.pose.local(&motion.global_from_imu).norm() < 1e-9);
+            let stated = Matrix6::from_diagonal(&Vector6::new(2e-4, 2e-4, 2e-4, 5e-3, 5e-3, 5e-3));
+            let off = (claimed.covariance - stated).amax();
+            assert!(off < 1e-6, "{yaw} rad, {metres} m: {}", claimed.covariance);
+        }
     }
 }

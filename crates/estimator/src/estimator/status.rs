@@ -202,6 +202,7 @@ impl Estimator {
             self.rejections_in_a_row = 0;
             (self.last_map_update_ns, self.last_gnss_update_ns) = (None, None);
             self.remove_transform();
+            self.forget_located();
         }
     }
 }

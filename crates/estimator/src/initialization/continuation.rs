@@ -1,6 +1,7 @@
 //! L goes on after a divergence: from the last pose that was trusted, as uncertain as what may have happened since.
 
 use super::static_init::{InitialState, yaw_between};
+use crate::propagation::rate_variance_of_step;
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::Vector3;
 use types::ImuSample;
@@ -29,18 +30,23 @@ pub(super) struct Continuation {
     last: LastTrustedPose,
     rotation: nalgebra::UnitQuaternion<f64>,
     propagated_ns: i64,
+    /// Of its yaw, by the gaps in the readings so far, rad^2.
+    gap_variance: f64,
 }
 
 impl Continuation {
     pub(super) fn of(last: &LastTrustedPose) -> Self {
         let rotation = last.local_from_imu.pose.rotation;
-        Self { last: *last, rotation, propagated_ns: last.stamp_ns }
+        Self { last: *last, rotation, propagated_ns: last.stamp_ns, gap_variance: 0.0 }
     }
 
-    /// Turns it by what the gyroscope measured between two readings.
+    /// Turns it by what the gyroscope measured between two readings. Where readings are missing it may have turned otherwise.
     pub(super) fn propagate(&mut self, previous: &ImuSample, reading: &ImuSample) {
         let seconds = (reading.stamp_ns - previous.stamp_ns.max(self.propagated_ns)) as f64 * 1e-9;
         if seconds > 0.0 {
+            self.gap_variance += rate_variance_of_step(seconds) * seconds * seconds;
+            let unmeasured_s = (previous.stamp_ns - self.propagated_ns).max(0) as f64 * 1e-9;
+            self.gap_variance += rate_variance_of_step(unmeasured_s) * unmeasured_s * unmeasured_s;
             let rate = 0.5 * (previous.gyroscope + reading.gyroscope) - self.last.gyroscope_bias;
             self.rotation *= rotation::exp(&(rate * seconds));
             self.propagated_ns = reading.stamp_ns;
@@ -55,10 +61,63 @@ impl Continuation {
         let mut placed = initial.transformed(&Pose::new(turn, last.pose.translation));
         let seconds = ((initial.stamp_ns - self.last.stamp_ns) as f64 * 1e-9).max(0.0);
         let moved = self.last.velocity.norm().max(CARRIED_SPEED_M_S) * seconds;
-        placed.covariance[(2, 2)] += last.covariance[(2, 2)] + (YAW_DRIFT_RAD_S * seconds).powi(2);
+        placed.covariance[(2, 2)] +=
+            last.covariance[(2, 2)] + (YAW_DRIFT_RAD_S * seconds).powi(2) + self.gap_variance;
         for k in 3..6 {
             placed.covariance[(k, k)] += last.covariance[(k, k)] + moved * moved;
         }
         placed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::propagation::{ImuMatrix, ImuState};
+    use nalgebra::{Matrix6, UnitQuaternion};
+
+    fn reading(stamp_ms: i64, rate: f64) -> ImuSample {
+        ImuSample {
+            stamp_ns: stamp_ms * 1_000_000,
+            gyroscope: Vector3::z() * rate,
+            accelerometer: Vector3::z() * 9.81,
+        }
+    }
+
+    fn last() -> LastTrustedPose {
+        LastTrustedPose {
+            stamp_ns: 0,
+            local_from_imu: PoseWithCovariance::new(Pose::identity(), Matrix6::identity() * 1e-6),
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+        }
+    }
+
+    /// Standard deviation of the yaw from which L goes on after readings at some times.
+    fn sigma_yaw(stamps_ms: &[i64]) -> f64 {
+        let mut continuation = Continuation::of(&last());
+        for pair in stamps_ms.windows(2) {
+            continuation.propagate(&reading(pair[0], 0.0), &reading(pair[1], 0.0));
+        }
+        let imu = ImuState {
+            local_from_imu: Pose::new(UnitQuaternion::identity(), Vector3::zeros()),
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
+        };
+        let end_ns = stamps_ms.last().map_or(0, |ms| ms * 1_000_000);
+        let initial = InitialState { stamp_ns: end_ns, imu, covariance: ImuMatrix::zeros() };
+        continuation.place(&initial).covariance[(2, 2)].sqrt()
+    }
+
+    #[test]
+    fn what_turned_while_readings_were_missing_is_not_known() {
+        let all: Vec<i64> = (0..=1200).map(|step| 5 * step).collect();
+        assert!(sigma_yaw(&all) < 0.02, "{}", sigma_yaw(&all));
+        // Five seconds in which a robot may have turned on the spot.
+        let with_gap: Vec<i64> = all.iter().copied().filter(|ms| !(500..5500).contains(ms)).collect();
+        assert!(sigma_yaw(&with_gap) > 1.5, "{}", sigma_yaw(&with_gap));
+        let late: Vec<i64> = all.iter().copied().filter(|ms| *ms >= 5000).collect();
+        assert!(sigma_yaw(&late) > 1.5, "{}", sigma_yaw(&late));
     }
 }

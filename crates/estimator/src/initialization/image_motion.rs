@@ -24,13 +24,13 @@ type Seen = BTreeMap<u64, (u8, Vector2<f64>)>;
 /// * `rest_ns`: when the IMU was found to be at rest, nanoseconds.
 /// * `tracks`: of the newest image.
 /// * `sigma_px`: noise of a pixel, px.
-pub(super) fn tracks_move(
+pub(super) fn tracks_stand(
     images: &VecDeque<WindowImage>,
     rest_ns: i64,
     tracks: &[TrackObservation],
     sigma_px: f64,
-) -> bool {
-    let Some(newest_ns) = images.back().map(|image| image.stamp_ns) else { return false };
+) -> Option<bool> {
+    let newest_ns = images.back()?.stamp_ns;
     let begin_ns = rest_ns - (REST_SECONDS * 1e9) as i64;
     let is_earlier = |image: &&WindowImage| {
         image.stamp_ns >= begin_ns && newest_ns - image.stamp_ns >= MOTION_CHECK_SPAN_NS
@@ -44,7 +44,7 @@ pub(super) fn tracks_move(
         lengths.sort_by(f64::total_cmp);
         Some(lengths[lengths.len() / 2] <= MOTION_CHECK_MAX_DISPLACEMENT * sigma_px)
     };
-    most_are_still(cameras.into_iter().map(is_still)) == Some(false)
+    most_are_still(cameras.into_iter().map(is_still))
 }
 
 fn seen(tracks: &[TrackObservation]) -> Seen {

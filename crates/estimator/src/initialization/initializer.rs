@@ -11,7 +11,7 @@ use crate::initialization::continuation::{Continuation, LastTrustedPose};
 use crate::initialization::dynamic::{
     BiasPrior, DynamicInitError, InitQuality, Window, WindowImage, initialize_dynamic,
 };
-use crate::initialization::image_motion::tracks_move;
+use crate::initialization::image_motion::tracks_stand;
 use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
 use std::collections::VecDeque;
 use types::{ImuSample, TrackObservation};
@@ -254,10 +254,17 @@ impl Initializer {
         let oldest_ns =
             stamp_ns - (if without_images { MAX_SECONDS_WITHOUT_IMAGES } else { MAX_SECONDS } * 1e9) as i64;
         let rest = self.rest.as_ref().filter(|rest| (oldest_ns..=stamp_ns).contains(&rest.stamp_ns))?;
-        let moving = tracks_move(&self.images, rest.stamp_ns, tracks, self.config.sigma_track_px);
-        if moving {
-            self.static_error = StaticInitError::UniformMotion;
-            self.rest = None;
+        match tracks_stand(&self.images, rest.stamp_ns, tracks, self.config.sigma_track_px) {
+            Some(false) => {
+                self.static_error = StaticInitError::UniformMotion;
+                self.rest = None;
+            }
+            // What the filter lost may have been the tracks of a robot that drives on.
+            None if self.continuation.is_some() => {
+                self.static_error = StaticInitError::RestUnseen;
+                return None;
+            }
+            _ => {}
         }
         self.rest.clone()
     }

@@ -45,6 +45,11 @@ pub enum StaticInitError {
         "the IMU is at rest or in uniform motion, and the features of the images move: it is in uniform motion"
     )]
     UniformMotion,
+    /// Too few features are tracked after the filter was lost.
+    #[error(
+        "the IMU is at rest or in uniform motion, and too few features are tracked to tell which after the pose was lost: uncover the cameras"
+    )]
+    RestUnseen,
     /// The specific force does not have the magnitude of gravity.
     #[error(
         "at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration"

@@ -13,6 +13,9 @@ use geometry::{Pose, PoseWithCovariance};
 /// answers to single images in halls that repeat themselves, 112 of them wrong, all 284 above it were right, and the largest odds of a
 /// wrong one were 6.7.
 pub const REQUIRED_ODDS: f64 = 7.0;
+/// What an operator says has these odds where it predicts the position to so many metres (standard deviation), and less, as the area grows, while
+/// the robot drives on from there: in the aisles of a hall another place that looks alike is some metres away.
+const EXPECTED_SIGMA_M: f64 = 1.5;
 /// Hypotheses that are kept, those of the largest odds.
 const MAX_HYPOTHESES: usize = 8;
 /// Tolerance of two fixes in their standard deviations.
@@ -56,15 +59,20 @@ impl FixedPose {
         }
     }
 
+    /// The standard deviation of the position that is predicted from it for a later one, metres.
+    fn sigma_predicted(&self, later: &Self) -> f64 {
+        let distance = (later.local_from_imu.translation - self.local_from_imu.translation).norm();
+        // An error of its rotation displaces the later one.
+        self.sigma_position.hypot(self.sigma_rotation * distance)
+    }
+
     /// Whether the motion between two fixes is that of odometry.
     fn agrees(&self, before: &Self) -> bool {
         let moved = before.local_from_imu.inverse() * self.local_from_imu;
         let (turned, shifted) = odometry_error(&before.global_from_imu, &moved, &self.global_from_imu);
         let distance = moved.translation.norm();
         let sigma_rotation = self.sigma_rotation.hypot(before.sigma_rotation);
-        // An error of the rotation of the earlier fix displaces the later one.
-        let lever = before.sigma_rotation * distance;
-        let sigma_position = self.sigma_position.hypot(before.sigma_position).hypot(lever);
+        let sigma_position = self.sigma_position.hypot(before.sigma_predicted(self));
         turned <= SIGMAS * sigma_rotation + DRIFT_RAD_M * distance
             && shifted <= SIGMAS * sigma_position + DRIFT_FRACTION * distance
     }
@@ -166,10 +174,14 @@ impl MapInitializer {
         self.hypotheses.len() - 1
     }
 
-    /// What an operator says is evidence for the hypothesis that agrees with it.
+    /// What an operator says is evidence for the hypothesis that agrees with it, and the less the larger the area is in which it would.
     fn log_odds(&self, hypothesis: &Hypothesis) -> f64 {
-        let is_expected = self.expected.is_some_and(|expected| hypothesis.newest.agrees(&expected));
-        hypothesis.evidence.log_odds() + if is_expected { REQUIRED_ODDS.ln() } else { 0.0 }
+        let expected = self.expected.filter(|expected| hypothesis.newest.agrees(expected));
+        let by_operator = expected.map_or(0.0, |expected| {
+            let wider = (expected.sigma_predicted(&hypothesis.newest) / EXPECTED_SIGMA_M).max(1.0);
+            (REQUIRED_ODDS.ln() - 2.0 * wider.ln()).max(0.0)
+        });
+        hypothesis.evidence.log_odds() + by_operator
     }
 
     /// Takes in where the robot is according to its operator.
@@ -291,6 +303,22 @@ mod tests {
         assert!(!initializes(&mut first, fix(1.0, 8.0, 0.1)));
         assert!(!initializes(&mut first, fix(1.0, 0.0, 0.05)));
         assert!(initializes(&mut first, fix(4.0, 0.0, 0.1)));
+    }
+
+    #[test]
+    fn what_the_operator_said_long_ago_decides_nothing() {
+        let mut expected = fix(0.0, 0.0, 0.0).pose;
+        (expected.sigma_position, expected.sigma_rotation) = (0.5, 0.26);
+        let wins_after = |metres: f64, displaced: f64| {
+            let mut first = MapInitializer::default();
+            first.expect(expected);
+            initializes(&mut first, fix(metres, displaced, 0.3))
+        };
+        assert!(wins_after(4.0, 0.0));
+        // The heading that RViz states is off by 4 m after 16 m: the next aisle agrees as well.
+        for displaced in [0.0, 4.0] {
+            assert!(!wins_after(30.0, displaced));
+        }
     }
 
     #[test]

@@ -113,9 +113,7 @@ fn a_part_that_is_the_whole_map_gives_the_same_map() {
 
 /// Settings with which a place keeps few landmarks.
 fn few_landmarks() -> Settings {
-    let mut settings = Settings::default();
-    settings.landmarks_a_place = 40;
-    settings
+    Settings { landmarks_a_place: 40, ..Settings::default() }
 }
 
 /// The new landmarks of the hall that a session came to have ids, before they are put back, that landmarks of other halls have.

@@ -45,16 +45,18 @@ impl OwnPoses {
     /// * `covariance`: of all states at these.
     ///
     /// # Returns
-    /// Zeros without poses, or where a covariance is not positive definite.
-    pub(super) fn moved(&self, poses: &[Pose], covariance: &StateCovariance) -> [f64; 2] {
+    /// Zeros without poses; `None` where a covariance is not positive definite, so that nothing can be said.
+    pub(super) fn moved(&self, poses: &[Pose], covariance: &StateCovariance) -> Option<[f64; 2]> {
         let together: Vec<Pose> = self.views.iter().map(|&view| poses[view]).collect();
-        let (Some(first), Some(own)) = (together.first(), self.poses.first()) else { return [0.0; 2] };
+        let (Some(first), Some(own)) = (together.first(), self.poses.first()) else {
+            return Some([0.0; 2]);
+        };
         let global_from_own = turned_about_vertical(first, own);
         let means: Vec<Pose> = self.poses.iter().map(|pose| global_from_own.compose(pose)).collect();
         let error = pose_errors(&means, together.iter());
         let before = self.covariance_in_global(&global_from_own, &means);
-        let [sum, freedom] = chi_square(&error, before, &joint(covariance, &self.views));
-        [sum, (freedom - FREE as f64).max(0.0)]
+        let [sum, freedom] = chi_square(&error, before, &joint(covariance, &self.views))?;
+        Some([sum, (freedom - FREE as f64).max(0.0)])
     }
 
     /// The covariance in G, with yaw and position unknown.
@@ -98,17 +100,22 @@ fn joint(covariance: &StateCovariance, views: &[usize]) -> DMatrix<f64> {
 }
 
 /// `eᵀ (P - P⁺)⁻¹ e` and its degrees of freedom, see [`OwnPoses::moved`].
-fn chi_square(error: &DVector<f64>, before: DMatrix<f64>, after: &DMatrix<f64>) -> [f64; 2] {
-    let Some(before) = before.cholesky() else { return [0.0; 2] };
-    let root = before.l();
-    let whitened =
-        root.solve_lower_triangular(after).and_then(|half| root.solve_lower_triangular(&half.transpose()));
-    let (Some(error), Some(after)) = (root.solve_lower_triangular(error), whitened) else { return [0.0; 2] };
+fn chi_square(error: &DVector<f64>, before: DMatrix<f64>, after: &DMatrix<f64>) -> Option<[f64; 2]> {
+    let root = before.cholesky()?.l();
+    let half = root.solve_lower_triangular(after)?;
+    let (error, after) =
+        (root.solve_lower_triangular(error)?, root.solve_lower_triangular(&half.transpose())?);
+    // NaN passes every comparison that follows.
+    if !error.iter().chain(&after).all(|value| value.is_finite()) {
+        return None;
+    }
     let part = DMatrix::identity(after.nrows(), after.ncols()) - (&after + after.transpose()) * 0.5;
     let SymmetricEigen { eigenvalues, eigenvectors } = part.symmetric_eigen();
     let along = eigenvectors.tr_mul(&error);
     let counted = eigenvalues.iter().zip(along.iter()).filter(|(value, _)| **value > MIN_PART);
-    counted.fold([0.0; 2], |[sum, freedom], (value, along)| [sum + along * along / value, freedom + 1.0])
+    let add =
+        |[sum, freedom]: [f64; 2], (value, along): (&f64, &f64)| [sum + along * along / value, freedom + 1.0];
+    Some(counted.fold([0.0; 2], add))
 }
 
 #[cfg(test)]
@@ -138,7 +145,7 @@ mod tests {
         for _ in 0..runs {
             let normal = DVector::from_fn(measured, |_, _| crate::tests::normal(&mut rng));
             let [chi_square, freedom] =
-                chi_square(&(&gain * &root_of_innovation * normal), before.clone(), &after);
+                chi_square(&(&gain * &root_of_innovation * normal), before.clone(), &after).unwrap();
             assert!(freedom <= measured as f64 && freedom >= 3.0, "{freedom}");
             sum += chi_square / freedom;
         }

@@ -66,6 +66,11 @@ pub enum ExtendError {
         "the cross-covariances of the map's keyframes contradict each other: import or build the map again"
     )]
     Indefinite,
+    /// The recording's own covariance is none.
+    #[error(
+        "the recording cannot be compared with the map: the covariance of its own trajectory is not positive definite"
+    )]
+    Incomparable,
     /// The result violates an invariant of maps.
     #[error("the extended map is invalid, which is a fault of this program: {0}")]
     Contents(#[from] ContentsError),

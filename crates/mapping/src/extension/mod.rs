@@ -128,7 +128,8 @@ pub fn extend_map(
     let mut both = builder.adjust(&constraints, both, ROUNDS);
     stored_poses.follow(&mut both.poses);
     let covariance = state_covariance(&builder.rig.cameras, &constraints, &both, sigma_px)?;
-    [report.map_chi_square, report.map_freedom] = own_poses.moved(&both.poses, &covariance);
+    [report.map_chi_square, report.map_freedom] =
+        own_poses.moved(&both.poses, &covariance).ok_or(ExtendError::Incomparable)?;
     let joint = joint_covariance(&mut builder, &covariance, &constraints, &both, &stored_poses);
     if options.map_poses == MapPoses::Considered {
         stored_poses.reset(&mut both.poses);
