@@ -41,6 +41,8 @@ fn limits() -> BTreeMap<&'static str, String> {
         ("protocol::MAX_HELD_KEYFRAMES", count(protocol::MAX_HELD_KEYFRAMES, "held keyframes")),
         ("protocol::MAX_SESSION_PART_BYTES", bytes(protocol::MAX_SESSION_PART_BYTES as u64)),
         ("protocol::MAX_SESSION_BYTES", bytes(protocol::MAX_SESSION_BYTES)),
+        ("hand_in::MAX_MEMORY_PER_BYTE", format!("{} bytes of memory", hand_in::MAX_MEMORY_PER_BYTE)),
+        ("hand_in::MAX_SESSION_MEMORY_BYTES", bytes(hand_in::MAX_SESSION_MEMORY_BYTES)),
         ("protocol::MAX_ANSWER_KEYFRAMES", format!("{} keyframes", protocol::MAX_ANSWER_KEYFRAMES)),
         ("geometry::camera::MIN_FOCAL", format!("from {} to", camera::MIN_FOCAL)),
         ("geometry::camera::MAX_FOCAL", format!("to {} times", grouped(camera::MAX_FOCAL as u64))),

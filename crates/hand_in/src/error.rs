@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use calibration::CalibrationError;
 
+use crate::memory::{MAX_MEMORY_PER_BYTE, MAX_SESSION_MEMORY_BYTES};
+
 /// Why a session file cannot be used: always the file, and what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -109,6 +111,17 @@ pub enum ChunkError {
     /// Times do not ascend.
     #[error("its times do not ascend")]
     Order,
+    /// It takes more memory than [`MAX_MEMORY_PER_BYTE`](crate::MAX_MEMORY_PER_BYTE) allows.
+    #[error(
+        "its content would take more than {most} bytes of memory, {MAX_MEMORY_PER_BYTE} for each of its own"
+    )]
+    Memory {
+        /// Bytes that it may take.
+        most: u64,
+    },
+    /// With it the session takes more memory than [`MAX_SESSION_MEMORY_BYTES`](crate::MAX_SESSION_MEMORY_BYTES).
+    #[error("with it the session would take more than {MAX_SESSION_MEMORY_BYTES} bytes of memory")]
+    SessionMemory,
     /// A number that cannot be.
     #[error("{0} is out of range")]
     Range(&'static str),

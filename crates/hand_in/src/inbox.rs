@@ -2,9 +2,11 @@
 //!
 //! ```text
 //! DIR/ROBOT/DIGEST_TOTAL.part    what has been received of a file: its bytes from the beginning on
-//! DIR/ROBOT/DIGEST.session       a file that is complete: digest, form, robot and signature were checked
+//! DIR/ROBOT/DIGEST_TOTAL.check   a file that has been received and is being checked
+//! DIR/ROBOT/DIGEST.session       a file that is complete: digest, signature, form and robot were checked
 //! ```
-//! Whatever stops the program, a file is one or the other. A part that is sent again changes nothing.
+//! Whatever stops the program, a file is one of these. A part that is sent again changes nothing. A file whose check ended the program
+//! is removed at the next start, since it could end it again; its robot hands it in from the beginning.
 
 use std::collections::BTreeSet;
 use std::fs::{File, TryLockError};
@@ -26,6 +28,8 @@ const LOCK: &str = ".lock";
 const COMPLETE: &str = "session";
 /// How the name of an incomplete one ends.
 const INCOMPLETE: &str = "part";
+/// How the name of one ends that is being checked.
+const CHECKED: &str = "check";
 /// Files that a robot may have begun to hand in; of more the one is removed that has waited longest.
 const MOST_INCOMPLETE: usize = 4;
 
@@ -118,7 +122,7 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// Opens an inbox, whose folder is made where it is missing.
+    /// Opens an inbox, whose folder is made where it is missing, and removes the files whose check ended the program.
     ///
     /// # Errors
     /// [`InboxError::Io`], [`InboxError::InUse`].
@@ -128,7 +132,10 @@ impl Inbox {
         std::fs::create_dir_all(folder).map_err(of_folder)?;
         let lock = File::create(folder.join(LOCK)).map_err(of_folder)?;
         match lock.try_lock() {
-            Ok(()) => Ok(Self { settings, _lock: lock }),
+            Ok(()) => {
+                remove_checked(folder)?;
+                Ok(Self { settings, _lock: lock })
+            }
             Err(TryLockError::WouldBlock) => Err(InboxError::InUse { folder: folder.clone() }),
             Err(TryLockError::Error(source)) => Err(of_folder(source)),
         }
@@ -197,24 +204,39 @@ impl Inbox {
             tracing::warn!(robot, "a session was damaged on its way and is handed in again");
             return Ok(Received { bytes: 0, is_complete: false });
         }
+        let checked = incomplete.with_extension(CHECKED);
+        std::fs::rename(incomplete, &checked).map_err(of_part)?;
         if let Err(error) = self.check(robot, complete, &bytes) {
-            std::fs::remove_file(incomplete).map_err(of_part)?;
+            std::fs::remove_file(&checked).map_err(of_part)?;
             // Whoever hands in nothing but what is refused leaves nothing; a folder with other files stays.
             let _ = complete.parent().map(std::fs::remove_dir);
             return Err(error);
         }
         let keep = || {
-            File::open(incomplete)?.sync_all()?;
-            std::fs::rename(incomplete, complete)?;
+            File::open(&checked)?.sync_all()?;
+            std::fs::rename(&checked, complete)?;
             // The name, too, is on the disk before it is acknowledged.
             complete.parent().map_or(Ok(()), |folder| File::open(folder)?.sync_all())
         };
-        keep().map_err(of_part)?;
+        keep().map_err(|source| {
+            // It can be kept at the next attempt.
+            let _ = std::fs::rename(&checked, incomplete);
+            of_part(source)
+        })?;
         Ok(Received { bytes: part.total_bytes, is_complete: true })
     }
 
+    /// Checks the signature of a file before anything in it is decoded, then its form and its robot.
     fn check(&self, robot: &str, path: &Path, bytes: &[u8]) -> Result<(), InboxError> {
-        let session = Session::of_bytes(path, bytes)?;
+        if let Some(keys) = &self.settings.keys {
+            let file = keys.join(format!("{robot}.pub"));
+            let key: PublicKey = file
+                .to_string_lossy()
+                .parse()
+                .map_err(|source| InboxError::Key { robot: robot.to_owned(), source })?;
+            verify(path, bytes, &key)?;
+        }
+        let session = Session::check(path, bytes)?;
         if session.header.robot != robot {
             let (recorded_by, robot) = (session.header.robot, robot.to_owned());
             return Err(InboxError::OtherRobot { recorded_by, robot });
@@ -222,13 +244,7 @@ impl Inbox {
         if session.recorded.is_none() {
             return Err(HandInError::NoHeader { path: path.to_owned() }.into());
         }
-        let Some(keys) = &self.settings.keys else { return Ok(()) };
-        let file = keys.join(format!("{robot}.pub"));
-        let key: PublicKey = file
-            .to_string_lossy()
-            .parse()
-            .map_err(|source| InboxError::Key { robot: robot.to_owned(), source })?;
-        Ok(verify(&session, bytes, &key)?)
+        Ok(())
     }
 
     /// Checks that there is room for a file that is begun, and removes the oldest of too many that were begun before.
@@ -254,12 +270,8 @@ impl Inbox {
             return Err(InboxError::Full { whose: "this robot's", used, most, switch });
         }
         let mut all = Vec::new();
-        let entries = std::fs::read_dir(root)
-            .and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>());
-        for of_robot in entries.map_err(|source| InboxError::Io { path: root.clone(), source })? {
-            if of_robot.is_dir() {
-                all.extend(sizes(&of_robot)?);
-            }
+        for of_robot in folders_of_robots(root)? {
+            all.extend(sizes(&of_robot)?);
         }
         let used = sum(all);
         if used > *bytes_in_all {
@@ -271,6 +283,30 @@ impl Inbox {
         }
         Ok(())
     }
+}
+
+/// The folders of all robots.
+fn folders_of_robots(root: &Path) -> Result<Vec<PathBuf>, InboxError> {
+    let entries = std::fs::read_dir(root)
+        .and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>());
+    let mut folders = entries.map_err(|source| InboxError::Io { path: root.to_owned(), source })?;
+    folders.retain(|path| path.is_dir());
+    Ok(folders)
+}
+
+/// Removes the files whose check ended the program.
+fn remove_checked(root: &Path) -> Result<(), InboxError> {
+    for folder in folders_of_robots(root)? {
+        for (path, bytes) in sizes(&folder)? {
+            if path.extension().is_some_and(|of| of == CHECKED) {
+                let failed = |source| InboxError::Io { path: path.clone(), source };
+                std::fs::remove_file(&path).map_err(failed)?;
+                let path = path.display();
+                tracing::warn!(%path, bytes, "the program ended while it checked this session, which is removed");
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The files of a folder with their bytes, of incomplete ones those that they will have.

@@ -8,7 +8,8 @@
 //! | `reading`, `writing` | [`Session`], [`SessionWriter`]: files, cut off without harm |
 //! | `header` | [`Header`]: robot, sensors, extractor |
 //! | `chunk` | [`Chunk`]: some seconds of a session |
-//! | `block`, `bytes` | blocks with checksums; integers of variable length |
+//! | `block`, `blocks` | blocks with checksums; those of a file |
+//! | `bytes`, `memory` | integers of variable length; how much memory a chunk may take |
 //! | `signature` | [`sign`], [`verify`] |
 //! | [`inbox`] | [`Inbox`]: the folder that sessions are handed in to |
 //! | `error` | [`HandInError`], [`ChunkError`] |
@@ -17,11 +18,13 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod block;
+mod blocks;
 mod bytes;
 mod chunk;
 mod error;
 mod header;
 pub mod inbox;
+mod memory;
 mod reading;
 mod signature;
 mod writing;
@@ -30,6 +33,7 @@ pub use chunk::{Answer, AnsweredMatch, Chunk, RecordedSoFar, SessionFrame};
 pub use error::{ChunkError, HandInError};
 pub use header::Header;
 pub use inbox::{Inbox, InboxError, InboxSettings, Received};
+pub use memory::{MAX_MEMORY_PER_BYTE, MAX_SESSION_MEMORY_BYTES};
 pub use reading::Session;
 pub use signature::{sign, verify};
 pub use writing::SessionWriter;

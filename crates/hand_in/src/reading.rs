@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::block::{self, kind};
+use crate::MAGIC;
+use crate::block::{Block, kind};
+use crate::blocks::Blocks;
 use crate::chunk::{self, Answer, Chunk, RecordedSoFar, SessionFrame};
 use crate::error::{ChunkError, HandInError};
 use crate::header::{self, Header};
-use crate::{MAGIC, SCHEMA};
+use crate::memory::MAX_SESSION_MEMORY_BYTES;
 use protocol::MAX_SESSION_BYTES;
 use types::ImuSample;
 
@@ -58,88 +60,18 @@ impl Session {
     /// # Errors
     /// As [`Session::open`].
     pub fn of_bytes(path: &Path, bytes: &[u8]) -> Result<Self, HandInError> {
-        let own = || path.to_owned();
-        let Some(after_magic) = bytes.strip_prefix(MAGIC) else {
-            return Err(HandInError::OtherFormat { path: own() });
-        };
-        let Some((schema, mut rest)) = after_magic.split_first_chunk::<2>() else {
-            return Err(HandInError::NoHeader { path: own() });
-        };
-        let found = u16::from_le_bytes(*schema);
-        if found != SCHEMA {
-            return Err(HandInError::Schema { path: own(), found, expected: SCHEMA });
-        }
-        let first = block::first(rest).filter(|block| block.kind == kind::HEADER);
-        let Some(first) = first else { return Err(HandInError::NoHeader { path: own() }) };
-        let (header, steps) = header::decode(path, first.payload)?;
-        rest = &rest[first.size..];
-        let mut session = Self {
-            path: own(),
-            header,
-            recorded: None,
-            readings: Vec::new(),
-            frames: Vec::new(),
-            answers: Vec::new(),
-            is_ended: false,
-            whole_bytes: (bytes.len() - rest.len()) as u64,
-            signature: None,
-        };
-        while let Some(block) = block::first(rest) {
-            let offset = session.whole_bytes;
-            session.take(&block, steps).map_err(|source| HandInError::Chunk {
-                path: own(),
-                offset,
-                source,
-            })?;
-            rest = &rest[block.size..];
-            session.whole_bytes += block.size as u64;
-            if session.signature.is_some() {
-                break;
-            }
-        }
-        Ok(session)
+        Decoder::decode(path, bytes, true)
     }
 
-    fn take(&mut self, block: &block::Block<'_>, steps: [f64; 2]) -> Result<(), ChunkError> {
-        match block.kind {
-            kind::CHUNK => {
-                let chunk = chunk::decode(block.payload, steps, self.header.cameras.len())?;
-                self.append(chunk)
-            }
-            kind::END => {
-                self.is_ended = true;
-                Ok(())
-            }
-            kind::SIGNATURE => {
-                let text =
-                    std::str::from_utf8(block.payload).map_err(|_| ChunkError::Range("a signature"))?;
-                self.signature = Some((self.whole_bytes, text.to_owned()));
-                Ok(())
-            }
-            other => Err(ChunkError::Kind(other)),
-        }
-    }
-
-    fn append(&mut self, chunk: Chunk) -> Result<(), ChunkError> {
-        let Chunk { mut recorded, readings, frames, answers } = chunk;
-        let follows =
-            |last: Option<i64>, next: Option<i64>| last.zip(next).is_none_or(|(last, next)| last < next);
-        let last_reading = self.readings.last().map(|reading| reading.stamp_ns);
-        let last_frame = self.frames.last().map(|frame| frame.stamp_ns);
-        if !follows(last_reading, readings.first().map(|reading| reading.stamp_ns))
-            || !follows(last_frame, frames.first().map(|frame| frame.stamp_ns))
-        {
-            return Err(ChunkError::Order);
-        }
-        self.readings.extend(readings);
-        self.frames.extend(frames);
-        self.answers.extend(answers);
-        if let Some(before) = self.recorded.take() {
-            let new = std::mem::replace(&mut recorded.new_samples, before.new_samples);
-            recorded.new_samples.extend(new);
-        }
-        self.recorded = Some(recorded);
-        Ok(())
+    /// Checks the bytes of a file as [`Session::of_bytes`] does, with the memory of one chunk at a time.
+    ///
+    /// # Returns
+    /// The session without readings, images, answers and samples.
+    ///
+    /// # Errors
+    /// As [`Session::open`].
+    pub(crate) fn check(path: &Path, bytes: &[u8]) -> Result<Self, HandInError> {
+        Decoder::decode(path, bytes, false)
     }
 
     /// Images with features.
@@ -160,5 +92,96 @@ impl Session {
         path.is_file()
             && files::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok()
             && begin == *MAGIC
+    }
+}
+
+/// Decodes a file, chunk by chunk.
+struct Decoder {
+    session: Session,
+    /// Whether the content of chunks stays in memory.
+    keeps: bool,
+    /// Bytes of memory that all chunks take, kept or not.
+    memory: u64,
+    last_reading_ns: Option<i64>,
+    last_frame_ns: Option<i64>,
+}
+
+impl Decoder {
+    fn decode(path: &Path, bytes: &[u8], keeps: bool) -> Result<Session, HandInError> {
+        let (header, mut blocks) = Blocks::of_file(path, bytes)?;
+        let (header, steps) = header::decode(path, header.payload)?;
+        let session = Session {
+            path: path.to_owned(),
+            header,
+            recorded: None,
+            readings: Vec::new(),
+            frames: Vec::new(),
+            answers: Vec::new(),
+            is_ended: false,
+            whole_bytes: 0,
+            signature: None,
+        };
+        let mut decoder = Self { session, keeps, memory: 0, last_reading_ns: None, last_frame_ns: None };
+        for (begin, block) in &mut blocks {
+            let offset = begin as u64;
+            decoder.take(&block, offset, steps).map_err(|source| HandInError::Chunk {
+                path: path.to_owned(),
+                offset,
+                source,
+            })?;
+        }
+        decoder.session.whole_bytes = blocks.whole_bytes() as u64;
+        Ok(decoder.session)
+    }
+
+    fn take(&mut self, block: &Block<'_>, offset: u64, steps: [f64; 2]) -> Result<(), ChunkError> {
+        match block.kind {
+            kind::CHUNK => {
+                let (chunk, memory) = chunk::decode(block.payload, steps, self.session.header.cameras.len())?;
+                self.memory = self.memory.saturating_add(memory);
+                if self.memory > MAX_SESSION_MEMORY_BYTES {
+                    return Err(ChunkError::SessionMemory);
+                }
+                self.append(chunk)
+            }
+            kind::END => {
+                self.session.is_ended = true;
+                Ok(())
+            }
+            kind::SIGNATURE => {
+                let text =
+                    std::str::from_utf8(block.payload).map_err(|_| ChunkError::Range("a signature"))?;
+                self.session.signature = Some((offset, text.to_owned()));
+                Ok(())
+            }
+            other => Err(ChunkError::Kind(other)),
+        }
+    }
+
+    fn append(&mut self, chunk: Chunk) -> Result<(), ChunkError> {
+        let Chunk { mut recorded, readings, frames, answers } = chunk;
+        let follows =
+            |last: Option<i64>, next: Option<i64>| last.zip(next).is_none_or(|(last, next)| last < next);
+        if !follows(self.last_reading_ns, readings.first().map(|reading| reading.stamp_ns))
+            || !follows(self.last_frame_ns, frames.first().map(|frame| frame.stamp_ns))
+        {
+            return Err(ChunkError::Order);
+        }
+        self.last_reading_ns = readings.last().map(|reading| reading.stamp_ns).or(self.last_reading_ns);
+        self.last_frame_ns = frames.last().map(|frame| frame.stamp_ns).or(self.last_frame_ns);
+        let session = &mut self.session;
+        if self.keeps {
+            session.readings.extend(readings);
+            session.frames.extend(frames);
+            session.answers.extend(answers);
+        } else {
+            recorded.new_samples = Vec::new();
+        }
+        if let Some(before) = session.recorded.take() {
+            let new = std::mem::replace(&mut recorded.new_samples, before.new_samples);
+            recorded.new_samples.extend(new);
+        }
+        session.recorded = Some(recorded);
+        Ok(())
     }
 }

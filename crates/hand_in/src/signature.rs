@@ -8,6 +8,7 @@ use protocol::MAX_SESSION_BYTES;
 use signing::{PublicKey, SecretKey, SignatureError};
 
 use crate::block::{self, kind};
+use crate::blocks::Blocks;
 use crate::error::HandInError;
 use crate::reading::Session;
 
@@ -19,7 +20,7 @@ use crate::reading::Session;
 pub fn sign(path: &Path, key: &SecretKey) -> Result<(), HandInError> {
     let failed = |source| HandInError::Io { path: path.to_owned(), source };
     let mut bytes = files::read(path, MAX_SESSION_BYTES).map_err(failed)?;
-    let session = Session::of_bytes(path, &bytes)?;
+    let session = Session::check(path, &bytes)?;
     if session.signature.is_some() {
         return Ok(());
     }
@@ -35,18 +36,19 @@ pub fn sign(path: &Path, key: &SecretKey) -> Result<(), HandInError> {
     append().map_err(failed)
 }
 
-/// Verifies that a session was signed with a key, up to its end.
+/// Verifies that a session was signed with a key, up to its end. Of its content nothing is decoded.
 ///
 /// # Arguments
-/// * `bytes`: those of the file that `session` was read from.
+/// * `path`: what the file is called in errors.
+/// * `bytes`: those of the file.
 ///
 /// # Errors
-/// [`HandInError::Signature`].
-pub fn verify(session: &Session, bytes: &[u8], key: &PublicKey) -> Result<(), HandInError> {
-    let wrong = |source| HandInError::Signature { path: session.path.clone(), source };
-    let is_whole = session.whole_bytes == bytes.len() as u64;
-    let signature = session.signature.as_ref().filter(|_| is_whole);
-    let (covered, text) = signature.ok_or(SignatureError::Missing).map_err(wrong)?;
-    let covered = usize::try_from(*covered).ok().and_then(|covered| bytes.get(..covered));
-    key.verify(covered.unwrap_or_default(), text.as_bytes()).map_err(wrong)
+/// [`HandInError::Signature`], [`HandInError::OtherFormat`], [`HandInError::Schema`], [`HandInError::NoHeader`].
+pub fn verify(path: &Path, bytes: &[u8], key: &PublicKey) -> Result<(), HandInError> {
+    let wrong = |source| HandInError::Signature { path: path.to_owned(), source };
+    let (_, mut blocks) = Blocks::of_file(path, bytes)?;
+    let signature = blocks.find(|(_, block)| block.kind == kind::SIGNATURE);
+    let signature = signature.filter(|_| blocks.whole_bytes() == bytes.len());
+    let (covered, block) = signature.ok_or(SignatureError::Missing).map_err(wrong)?;
+    key.verify(&bytes[..covered], block.payload).map_err(wrong)
 }

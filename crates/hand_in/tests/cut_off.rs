@@ -1,6 +1,6 @@
 //! Files that were cut off, damaged or made up.
 
-use crate::example_session::write;
+use crate::example_session::{block, write};
 use hand_in::{HandInError, Session};
 use proptest::prelude::*;
 use std::path::Path;
@@ -78,15 +78,7 @@ proptest! {
     fn blocks_of_any_content_are_refused_or_read(payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0..6_u8) {
         let (bytes, ends) = written(1);
         let mut bytes = bytes[..ends[1] as usize].to_vec();
-        let length = payload.len() as u32;
-        let mut hasher = crc32fast::Hasher::new();
-        for part in [&length.to_le_bytes()[..], &[kind], &payload] {
-            hasher.update(part);
-        }
-        bytes.extend(length.to_le_bytes());
-        bytes.push(kind);
-        bytes.extend(hasher.finalize().to_le_bytes());
-        bytes.extend(payload);
+        bytes.extend(block(kind, &payload));
         if let Ok(session) = read(&bytes) {
             prop_assert!(session.frames.windows(2).all(|frames| frames[0].stamp_ns < frames[1].stamp_ns));
             prop_assert!(session.readings.windows(2).all(|readings| readings[0].stamp_ns < readings[1].stamp_ns));
@@ -104,16 +96,7 @@ proptest! {
             let at = at % payload.len();
             payload[at] = byte;
         }
-        let length = payload.len() as u32;
-        let mut hasher = crc32fast::Hasher::new();
-        for part in [&length.to_le_bytes()[..], &[2], &payload] {
-            hasher.update(part);
-        }
-        let mut bytes = header.to_vec();
-        bytes.extend(length.to_le_bytes());
-        bytes.push(2);
-        bytes.extend(hasher.finalize().to_le_bytes());
-        bytes.extend(payload);
+        let bytes = [header, &block(2, &payload)].concat();
         if let Ok(session) = read(&bytes) {
             prop_assert!(session.readings.iter().all(types::ImuSample::is_finite));
             prop_assert!(session.readings.windows(2).all(|readings| readings[0].stamp_ns < readings[1].stamp_ns));

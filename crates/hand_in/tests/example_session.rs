@@ -107,3 +107,13 @@ pub fn write(path: &Path, seconds: i64) -> Vec<u64> {
     ends.push(path.metadata().unwrap().len());
     ends
 }
+
+/// A block of any content, with its checksum.
+pub fn block(kind: u8, payload: &[u8]) -> Vec<u8> {
+    let length = (payload.len() as u32).to_le_bytes();
+    let mut hasher = crc32fast::Hasher::new();
+    for part in [&length[..], &[kind], payload] {
+        hasher.update(part);
+    }
+    [&length[..], &[kind], &hasher.finalize().to_le_bytes(), payload].concat()
+}

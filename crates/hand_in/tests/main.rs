@@ -4,4 +4,5 @@
 mod cut_off;
 mod example_session;
 mod inbox;
+mod memory;
 mod round_trip;

@@ -62,9 +62,8 @@ pub(super) fn write(out: &mut Writer, answers: &[Answer]) {
 }
 
 pub(super) fn read(input: &mut Reader<'_>) -> Result<Vec<Answer>, ChunkError> {
-    let count = input.count()?;
+    let (mut answers, count) = input.list()?;
     let mut times = Times(None);
-    let mut answers = Vec::new();
     for _ in 0..count {
         let stamp_ns = times.read(input)?;
         let map_identity = MapIdentity::from_bytes(input.array()?);
@@ -75,8 +74,8 @@ pub(super) fn read(input: &mut Reader<'_>) -> Result<Vec<Answer>, ChunkError> {
             _ => return Err(ChunkError::Range("whether an answer was accepted")),
         };
         let (mut landmark, mut keyframe) = (0_u64, 0_u64);
-        let mut matches = Vec::new();
-        for _ in 0..input.count()? {
+        let (mut matches, count) = input.list()?;
+        for _ in 0..count {
             let feature =
                 u32::try_from(input.unsigned()?).map_err(|_| ChunkError::Range("the number of a feature"))?;
             landmark = landmark.wrapping_add(input.signed()? as u64);

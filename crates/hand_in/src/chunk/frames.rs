@@ -22,6 +22,8 @@ const MAX_NAME_BYTES: usize = 256;
 const KINDS: [DescriptorKind; 3] = [DescriptorKind::Binary, DescriptorKind::Float, DescriptorKind::Int8];
 /// Cameras of a point that fit into the bits of an integer.
 const MAX_CAMERAS: u8 = 64;
+/// Most points of all cameras in the images of a chunk; a robot records some thousands.
+const MAX_POINTS: usize = 1 << 18;
 
 /// Pixels of a point in steps, by camera.
 type InCameras = BTreeMap<u8, [i64; 2]>;
@@ -114,9 +116,8 @@ fn write_tracks(out: &mut Writer, tracks: &[TrackObservation], last: &mut HashMa
 
 pub(super) fn read(input: &mut Reader<'_>, cameras: usize) -> Result<Vec<SessionFrame>, ChunkError> {
     let extractor = Extractor::read(input)?;
-    let count = input.count()?;
+    let (mut frames, count) = input.list()?;
     let (mut times, mut last) = (Times(None), HashMap::new());
-    let mut frames = Vec::new();
     for _ in 0..count {
         let stamp_ns = times.read(input)?;
         let tracks = read_tracks(input, cameras, &mut last)?;
@@ -148,11 +149,16 @@ fn read_tracks(
                 *value = stepped(*value, input.signed()?, TRACK_STEPS)?;
             }
             last.insert((id, camera), pixel);
+            if last.len() > MAX_POINTS {
+                return Err(ChunkError::Range("the number of points"));
+            }
             beside = pixel;
             let pixel = Vector2::from(pixel).map(|value| value as f64 / TRACK_STEPS);
+            input.take::<TrackObservation>(1)?;
             tracks.push(TrackObservation { camera, feature_id: id, pixel });
         }
     }
+    tracks.shrink_to_fit();
     Ok(tracks)
 }
 
@@ -172,7 +178,9 @@ fn read_features(
         .ok()
         .filter(|count| *count <= MAX_FEATURES)
         .ok_or(ChunkError::Range("the number of features"))?;
-    let mut pixels = Vec::new();
+    input.take::<u8>(name.len())?;
+    input.take::<[f32; 2]>(count)?;
+    let mut pixels = Vec::with_capacity(count);
     for _ in 0..count {
         let mut pixel = [0.0; 2];
         for value in &mut pixel {
@@ -180,7 +188,9 @@ fn read_features(
         }
         pixels.push(pixel);
     }
-    let bytes = input.bytes(count * usize::from(format.width))?.to_vec();
+    let bytes = input.bytes(count * usize::from(format.width))?;
+    input.take::<u8>(bytes.len())?;
+    let bytes = bytes.to_vec();
     let descriptors = Descriptors { bytes, ..Descriptors::empty(*format) };
     Ok(Some(FeatureSet { pixels, descriptors, extractor: name.clone() }))
 }

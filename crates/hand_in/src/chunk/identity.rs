@@ -42,8 +42,9 @@ pub(super) fn read(input: &mut Reader<'_>) -> Result<RecordedSoFar, ChunkError> 
     if begin_ns > end_ns {
         return Err(ChunkError::Order);
     }
-    let new_samples = (0..input.count()?)
-        .map(|_| Ok(u64::from_le_bytes(input.array()?)))
-        .collect::<Result<_, ChunkError>>()?;
+    let (mut new_samples, count) = input.list()?;
+    for _ in 0..count {
+        new_samples.push(u64::from_le_bytes(input.array()?));
+    }
     Ok(RecordedSoFar { id, begin_ns, end_ns, images, readings, new_samples })
 }

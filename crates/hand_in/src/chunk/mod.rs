@@ -50,20 +50,20 @@ pub(crate) fn encode(chunk: &Chunk, steps: [f64; 2]) -> Vec<u8> {
     out.0
 }
 
-/// The chunk of some bytes.
+/// The chunk of some bytes, and how many bytes of memory it takes.
 ///
 /// # Arguments
 /// * `steps`: those that it was written with.
 /// * `cameras`: how many there are.
-pub(crate) fn decode(bytes: &[u8], steps: [f64; 2], cameras: usize) -> Result<Chunk, ChunkError> {
-    let mut input = Reader(bytes);
+pub(crate) fn decode(bytes: &[u8], steps: [f64; 2], cameras: usize) -> Result<(Chunk, u64), ChunkError> {
+    let mut input = Reader::new(bytes);
     let chunk = Chunk {
         recorded: identity::read(&mut input)?,
         readings: readings::read(&mut input, steps)?,
         frames: frames::read(&mut input, cameras)?,
         answers: answers::read(&mut input)?,
     };
-    if input.0.is_empty() { Ok(chunk) } else { Err(ChunkError::TooLong(input.0.len())) }
+    Ok((chunk, input.end()?))
 }
 
 /// Times that ascend, as differences.

@@ -28,9 +28,8 @@ pub(super) fn read(
     input: &mut Reader<'_>,
     [gyroscope, accelerometer]: [f64; 2],
 ) -> Result<Vec<ImuSample>, ChunkError> {
-    let count = input.count()?;
+    let (mut readings, count) = input.list()?;
     let (mut times, mut last) = (Times(None), [0_i64; 6]);
-    let mut readings = Vec::new();
     for _ in 0..count {
         let stamp_ns = times.read(input)?;
         for value in &mut last {
