@@ -16,11 +16,13 @@ pub struct ServedMap {
 pub(crate) struct MapSlot {
     pub(crate) name: String,
     map: RwLock<Arc<LoadedMap>>,
+    /// Held from the comparison with the served version until the notice of the new one has left.
+    pub(crate) changing: tokio::sync::Mutex<()>,
 }
 
 impl MapSlot {
     pub(crate) fn new(ServedMap { name, map }: ServedMap) -> MapSlot {
-        MapSlot { name, map: RwLock::new(map) }
+        MapSlot { name, map: RwLock::new(map), changing: tokio::sync::Mutex::default() }
     }
 
     pub(crate) fn current(&self) -> Arc<LoadedMap> {

@@ -229,6 +229,9 @@ impl MapServer {
     /// Replaces a map by another version of it while it is served and publishes the difference on `map/{map}/changes`. Queries in progress are
     /// answered with the previous map.
     ///
+    /// The difference is computed before, and what is served is noted on disk afterwards: the notice leaves as soon as the new version
+    /// answers, since robots wait for it for 2 s only.
+    ///
     /// # Arguments
     /// * `stated_change`: size of the map's motion, if known to the caller; otherwise computed from the keyframes that
     ///   both versions have. One beyond [`protocol::MAX_CHANGE_RAD`] or [`protocol::MAX_CHANGE_M`] counts as unknown.
@@ -236,7 +239,9 @@ impl MapServer {
     /// # Errors
     /// [`ServeError::UnknownMap`]; [`ServeError::OtherMap`] for a map of another identity: a version that was made in memory
     /// states the identity of the served map in its info; [`ServeError::OldVersion`] for a version that is not newer;
-    /// [`ServeError::Zenoh`] if the map was replaced but the notice was not published.
+    /// [`ServeError::TaskFailed`] where the comparison panicked. Then the previous version is served as before.
+    ///
+    /// [`ServeError::Zenoh`], [`ServeError::Codec`] if the map was replaced but the notice was not published.
     pub async fn replace(
         &self,
         name: &str,
@@ -244,19 +249,25 @@ impl MapServer {
         stated_change: Option<StatedChange>,
     ) -> Result<(), ServeError> {
         let served = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap { name: name.to_owned() })?;
-        let (served_identity, given) = (served.current().identity(), map.identity());
+        let _changing = served.changing.lock().await;
+        let previous = served.current();
+        let (served_identity, given) = (previous.identity(), map.identity());
         if served_identity != given {
             return Err(ServeError::OtherMap { name: name.to_owned(), served: served_identity, given });
         }
-        let (serving, version) = (served.current().info().version, map.info().version);
+        let (serving, version) = (previous.info().version, map.info().version);
         if version <= serving {
             return Err(ServeError::OldVersion { name: name.to_owned(), served: serving, given: version });
         }
-        let previous = served.replace(Arc::clone(&map));
-        self.metrics.note_map(name, map.keyframe_count(), map.info().version);
-        note_served(self.state.as_ref(), name, given, version).await;
-        let (mut change, added) = change::between(name, &previous, &map);
+        let comparing = {
+            let (name, map) = (name.to_owned(), Arc::clone(&map));
+            tokio::task::spawn_blocking(move || change::between(&name, &previous, &map))
+        };
+        let (mut change, added) = comparing.await.map_err(|error| ServeError::task(&error))?;
         change.stated_change = stated_change.or(change.stated_change).filter(|size| size.validate().is_ok());
+        // It is large, and given back behind the notice.
+        let _former = served.replace(Arc::clone(&map));
+        self.metrics.note_map(name, map.keyframe_count(), version);
         tracing::info!(
             name,
             from_version = change.from_version,
@@ -269,7 +280,9 @@ impl MapServer {
             motion = change::describe(change.stated_change.as_ref()),
             "replaced a map"
         );
-        change::publish(&self.session, change).await
+        let published = change::publish(&self.session, change).await;
+        note_served(self.state.as_ref(), name, given, version).await;
+        published
     }
 
     /// Stops serving: undeclares everything, then answers the queries already received, for at most 1.5 s.

@@ -19,6 +19,7 @@ use zenoh::Session;
 use zenoh::query::ConsolidationMode;
 
 mod feature_kinds;
+mod notices;
 
 /// A server with the map `hall` and a client, connected over the loopback.
 struct Scene {

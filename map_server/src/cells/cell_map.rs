@@ -87,11 +87,17 @@ impl CellMap {
         drawings.set(&self.routed.name, DrawnMap { info, all_cells, cells });
     }
 
-    /// Serves a cell from now on.
-    pub(crate) async fn add(&mut self, cell: CellId, stored: Arc<StoredCell>) -> Result<(), ServeError> {
-        self.declare(cell, stored).await?;
+    /// Serves cells from now on.
+    pub(crate) async fn add(
+        &mut self,
+        cells: impl IntoIterator<Item = (CellId, Arc<StoredCell>)>,
+    ) -> Result<(), ServeError> {
+        let mut added = Ok(());
+        for (cell, stored) in cells {
+            added = added.and(self.declare(cell, stored).await);
+        }
         self.draw();
-        Ok(())
+        added
     }
 
     async fn declare(&mut self, cell: CellId, stored: Arc<StoredCell>) -> Result<(), ServeError> {
@@ -133,12 +139,16 @@ impl CellMap {
     /// # Arguments
     /// * `cells`: of the new version; those that the server has and that are not among them are withdrawn.
     /// * `version`: of [`CellMap::announce`].
-    pub(crate) async fn change_over(
+    ///
+    /// # Returns
+    /// The cells that it did not have, which are still to be [added](CellMap::add).
+    #[must_use]
+    pub(crate) fn change_over(
         &mut self,
         directory: Arc<CellDirectory>,
         cells: BTreeMap<CellId, Arc<StoredCell>>,
         version: LivelinessToken,
-    ) -> Result<(), ServeError> {
+    ) -> Vec<(CellId, Arc<StoredCell>)> {
         for cell in self.cells().into_iter().filter(|cell| !cells.contains_key(cell)) {
             self.remove(cell);
         }
@@ -156,11 +166,7 @@ impl CellMap {
         self.host.memory.note_gone();
         self.routed.set_directory(directory);
         self.version = version;
-        for (cell, stored) in new {
-            self.declare(cell, stored).await?;
-        }
-        self.draw();
-        Ok(())
+        new
     }
 }
 

@@ -263,7 +263,7 @@ impl Running {
             match StoredCell::prepare(self.origin(&self.release, *cell), &self.memory).await {
                 Ok(stored) => {
                     let (bytes, in_memory) = (stored.bytes(), stored.is_in_memory());
-                    if let Err(error) = self.map.add(*cell, stored).await {
+                    if let Err(error) = self.map.add([(*cell, stored)]).await {
                         tracing::error!(name = self.name, cell, "a cell cannot be served: {error}");
                         continue;
                     }
@@ -355,8 +355,8 @@ impl Running {
         }
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;
-        self.map.change_over(directory, cells, token).await?;
         let change = change.unwrap_or_default();
+        let new_cells = self.map.change_over(directory, cells, token);
         tracing::info!(
             name = self.name,
             release = release.number,
@@ -379,8 +379,20 @@ impl Running {
             keyframe_motions: change.keyframe_motions,
         };
         self.release = release;
+        // The new version answers already: what waits for a disk or the network comes after the notice.
+        let published = change::publish(&self.session, notice).await;
+        let added = self.map.add(new_cells).await;
         self.keep().await;
-        change::publish(&self.session, notice).await
+        if let Err(error) = published.and(added) {
+            let reason = format!("{:#}", anyhow::Error::from(error));
+            tracing::warn!(
+                name = self.name,
+                version = self.release.map.version,
+                reason,
+                "the new release is served, but robots or other servers were not told all of it"
+            );
+        }
+        Ok(())
     }
 
     /// Waits until every server of the map has loaded a version, or has had the time for it.
