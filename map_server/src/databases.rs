@@ -6,12 +6,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail};
 use map::store;
 use map_server::map_argument::MapArgument;
 use map_server::{MapServer, ServeError, ServedMap};
 use recognition::{AliasingRate, LoadedMap};
-use releases::ReleaseKey;
+use releases::{Release, ReleaseKey};
 
 use crate::background::in_background;
 use crate::released::ReleasedMap;
@@ -64,7 +64,10 @@ impl MapSource {
         let loading = tokio::task::spawn_blocking(move || {
             let map: anyhow::Result<LoadedMap> = match origin {
                 Origin::Database(database) => LoadedMap::read(database).map_err(Into::into),
-                Origin::Releases(releases) => releases.load(),
+                Origin::Releases(releases) => releases.load().map(|(map, release)| {
+                    releases.keep(&release);
+                    map
+                }),
             };
             map.inspect(LoadedMap::measure_aliasing_rates)
         });
@@ -87,73 +90,110 @@ impl MapSource {
         Ok(ServedMap { name, map: Arc::new(map) })
     }
 
+    /// Releases that were refused are loaded again.
+    pub fn look_again(&self) {
+        if let Origin::Releases(releases) = &self.origin {
+            releases.look_again();
+        }
+    }
+
     /// The map, if its version or its identity differs from the served one.
-    fn newer(&self, present: &LoadedMap) -> anyhow::Result<Option<LoadedMap>> {
+    fn newer(&self, present: &LoadedMap) -> anyhow::Result<Option<NewVersion>> {
         let (served, identity) = (present.info().version, present.identity());
-        let map = match &self.origin {
-            Origin::Releases(releases) => releases.newer(served, identity)?,
+        let new = match &self.origin {
+            Origin::Releases(releases) => releases
+                .newer(served, identity)?
+                .map(|(map, release)| NewVersion { map: Arc::new(map), release: Some(release) }),
             Origin::Database(database) => {
                 let (stored, landmarks) = store::open_map(database)?;
                 let info = &stored.contents.info;
-                let is_served = (info.version, info.identity) == (served, Some(identity));
-                if is_served { None } else { Some(LoadedMap::load(stored, landmarks)?) }
+                if (info.version, info.identity) == (served, Some(identity)) {
+                    return Ok(None);
+                }
+                let map = Arc::new(LoadedMap::load(stored, landmarks)?);
+                Some(NewVersion { map, release: None })
             }
         };
-        let Some(map) = map else { return Ok(None) };
-        map.keep_aliasing_rate(present);
-        map.measure_aliasing_rates();
-        ensure!(map.keyframe_count() > 0, "the new version has no keyframes");
-        Ok(Some(map))
+        let Some(new) = new else { return Ok(None) };
+        if new.map.keyframe_count() == 0 {
+            self.refuse(new);
+            bail!("the new version has no keyframes");
+        }
+        new.map.keep_aliasing_rate(present);
+        new.map.measure_aliasing_rates();
+        Ok(Some(new))
     }
+
+    fn refuse(&self, new: NewVersion) {
+        if let (Origin::Releases(releases), Some(release)) = (&self.origin, new.release) {
+            releases.refuse(release);
+        }
+    }
+
+    /// Notes that a version is served now.
+    async fn keep(&self, new: NewVersion) {
+        let (Origin::Releases(releases), Some(release)) = (self.origin.clone(), new.release) else { return };
+        if let Err(error) = in_background(move || releases.keep(&release)).await {
+            tracing::warn!(name = self.name, "the release is not kept: {error}");
+        }
+    }
+
+    /// Serves the newest version, if that is another one. Logs the result.
+    async fn reload(&self, server: &MapServer) {
+        let name = &self.name;
+        let Some(present) = server.served(name) else { return };
+        let version = present.info().version;
+        let reading = {
+            let source = self.clone();
+            in_background(move || source.newer(&present))
+        };
+        let new = match reading.await.unwrap_or_else(|error| Err(error.into())) {
+            Ok(Some(new)) => new,
+            Ok(None) if self.has_releases() => {
+                return tracing::debug!(name, version, "the newest release is served, or was refused");
+            }
+            Ok(None) => return tracing::info!(name, version, "the database has the version that is served"),
+            Err(reason) => {
+                let reason = format!("{reason:#}");
+                return tracing::warn!(
+                    name,
+                    version,
+                    reason,
+                    "reload failed; the previous version continues to be served"
+                );
+            }
+        };
+        let replaced = server.replace(name, Arc::clone(&new.map), None).await;
+        if let Err(
+            error @ (ServeError::OtherMap { .. }
+            | ServeError::OldVersion { .. }
+            | ServeError::TaskFailed { .. }),
+        ) = replaced
+        {
+            tracing::warn!(
+                name,
+                version,
+                "reload refused; the previous version continues to be served: {error}"
+            );
+            return self.refuse(new);
+        }
+        if let Err(error) = replaced {
+            tracing::warn!(name, "the new version is served, but its notice was not published: {error:#}");
+        }
+        self.keep(new).await;
+    }
+}
+
+/// A version that is not served yet.
+struct NewVersion {
+    map: Arc<LoadedMap>,
+    /// That it was fetched of.
+    release: Option<Release>,
 }
 
 /// Serves the new versions of the maps that have one. Logs the result of each.
 pub async fn reload(server: &MapServer, sources: impl Iterator<Item = &MapSource>) {
     for source in sources {
-        let name = &source.name;
-        let Some(present) = server.served(name) else { continue };
-        let served = present.info().version;
-        let reading = {
-            let source = source.clone();
-            in_background(move || source.newer(&present))
-        };
-        let read = reading.await.unwrap_or_else(|error| Err(error.into()));
-        let replaced = match read {
-            Ok(Some(map)) => server.replace(name, Arc::new(map), None).await,
-            Ok(None) => {
-                if source.has_releases() {
-                    tracing::debug!(name, version = served, "the newest release is served");
-                } else {
-                    tracing::info!(name, version = served, "the database has the version that is served");
-                }
-                continue;
-            }
-            Err(reason) => {
-                let reason = format!("{reason:#}");
-                tracing::warn!(
-                    name,
-                    version = served,
-                    reason,
-                    "reload failed; the previous version continues to be served"
-                );
-                continue;
-            }
-        };
-        match replaced {
-            Ok(()) => {}
-            Err(error @ (ServeError::OtherMap { .. } | ServeError::OldVersion { .. })) => {
-                tracing::warn!(
-                    name,
-                    version = served,
-                    "reload refused; the previous version continues to be served: {error}"
-                );
-            }
-            Err(error) => {
-                tracing::warn!(
-                    name,
-                    "the new version is served, but its notice was not published: {error:#}"
-                );
-            }
-        }
+        source.reload(server).await;
     }
 }

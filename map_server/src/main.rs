@@ -183,6 +183,7 @@ async fn serve_until<S>(
             }
             () = reload.recv() => {
                 tracing::info!("SIGHUP: reloading the maps");
+                sources.iter().for_each(MapSource::look_again);
                 tokio::select! {
                     signal = &mut stopped => break signal,
                     () = databases::reload(server, sources.iter()) => {}

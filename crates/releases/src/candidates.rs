@@ -98,8 +98,8 @@ pub async fn newest_open(store: &ReleaseStore) -> Result<Release, ReleaseError> 
 
 /// What a server serves that follows candidates: the newest one, or where that was rejected or overtaken the newest live release.
 ///
-/// Versions grow for its robots, too: after a rejected candidate the live map has the version after the candidate's, which no other
-/// release has.
+/// Versions grow for its robots, too: after a candidate that was rejected, or overtaken by an older one that was promoted, the live map
+/// has the version after the candidate's, which no other release has.
 ///
 /// # Errors
 /// As [`ReleaseStore::release`].
@@ -107,19 +107,23 @@ pub async fn newest_with_candidates(store: &ReleaseStore) -> Result<Option<Relea
     let newest = store.newest().await?;
     let Some(number) = store.candidate_numbers().await?.pop() else { return Ok(newest) };
     let proposed = store.candidate(number).await?;
-    if ensure_next(newest.as_ref(), &proposed, number).is_err() {
-        return Ok(newest);
+    if ensure_next(newest.as_ref(), &proposed, number).is_ok() {
+        let decision = store.decision(&proposed).await?;
+        if decision.is_none_or(|decision| decision.verdict == Verdict::Promoted) {
+            return Ok(Some(proposed));
+        }
     }
-    let decision = store.decision(&proposed).await?;
-    if decision.is_none_or(|decision| decision.verdict == Verdict::Promoted) {
-        return Ok(Some(proposed));
-    }
-    let version = proposed.map.version.saturating_add(1);
-    Ok(newest.map(|live| Release { map: MapMetadata { version, ..live.map.clone() }, ..live }))
+    let after = proposed.map.version.saturating_add(1);
+    Ok(newest.map(|live| {
+        // The candidate itself, or a release that came after it, is known by its own version.
+        let is_older = live.map.version < proposed.map.version;
+        let version = if is_older { after } else { live.map.version };
+        Release { map: MapMetadata { version, ..live.map.clone() }, ..live }
+    }))
 }
 
 /// The version of the next release, live or not: beyond those of all others, and of what [`newest_with_candidates`] serves after a
-/// rejected candidate.
+/// candidate that was rejected or overtaken.
 pub(crate) async fn next_version(
     store: &ReleaseStore,
     newest: Option<&Release>,

@@ -129,6 +129,25 @@ async fn a_candidate_that_was_overtaken_is_not_promoted() {
 }
 
 #[tokio::test]
+async fn where_an_older_candidate_is_promoted_versions_grow_all_the_same() {
+    let (_folder, store) = scratch();
+    put(&store, place(), Stage::Live).await;
+    let older = put(&store, without_the_last(1), Stage::Candidate).await;
+    let newer = put(&store, without_the_last(2), Stage::Candidate).await;
+    assert_eq!(newest_with_candidates(&store).await.unwrap().unwrap(), newer);
+    let promoted = promote(&store, 1, &Note::default()).await.unwrap();
+    assert!(promoted.map.version == older.map.version && older.map.version < newer.map.version);
+    let followed = newest_with_candidates(&store).await.unwrap().unwrap();
+    assert_eq!((followed.digest, followed.number), (promoted.digest, promoted.number));
+    assert_eq!(followed.map.version, newer.map.version + 1);
+    // It stays so, and whatever comes next has a version that no robot has seen.
+    assert_eq!(newest_with_candidates(&store).await.unwrap().unwrap(), followed);
+    let next = put(&store, without_the_last(3), Stage::Candidate).await;
+    assert!(next.map.version > followed.map.version);
+    assert_eq!(newest_with_candidates(&store).await.unwrap().unwrap(), next);
+}
+
+#[tokio::test]
 async fn of_a_promotion_and_a_rejection_at_once_one_counts() {
     for _ in 0..10 {
         let (_folder, store) = scratch();
