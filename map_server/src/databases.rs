@@ -7,9 +7,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use map::store;
+use map::MapMetadata;
+use map::store::{self, StoredLandmarks, StoredMap};
 use map_server::map_argument::MapArgument;
-use map_server::{MapServer, ServeError, ServedMap};
+use map_server::state::MapVersion;
+use map_server::{MapServer, ServeError, ServedMap, ServerState};
 use recognition::{AliasingRate, LoadedMap};
 use releases::{Release, ReleaseKey};
 
@@ -57,20 +59,31 @@ impl MapSource {
 
     /// Loads the map into memory.
     ///
+    /// # Arguments
+    /// * `state`: says what robots were served before, which decides about the number of the version.
+    ///
     /// # Errors
     /// Whatever keeps it from being read.
-    pub async fn load(&self) -> anyhow::Result<ServedMap> {
+    pub async fn load(&self, state: Option<&Arc<ServerState>>) -> anyhow::Result<ServedMap> {
         let MapSource { name, origin } = self.clone();
+        let state = state.cloned();
         let loading = tokio::task::spawn_blocking(move || {
+            let before = state.and_then(|state| last_served(&state, &name));
             let map: anyhow::Result<LoadedMap> = match origin {
-                Origin::Database(database) => LoadedMap::read(database).map_err(Into::into),
-                Origin::Releases(releases) => releases.load().map(|(map, release)| {
+                Origin::Database(database) => Stored::open(&database).and_then(|stored| {
+                    let number = number_after(&name, &stored.version(), before.as_ref());
+                    stored.load(number)
+                }),
+                Origin::Releases(releases) => releases.newest_or_cached().and_then(|release| {
+                    let number = number_after(&name, &version_of(&release), before.as_ref());
+                    let map = releases.load(&release, number)?;
                     releases.keep(&release);
-                    map
+                    Ok(map)
                 }),
             };
             map.inspect(LoadedMap::measure_aliasing_rates)
         });
+        let name = self.name.clone();
         let map = loading.await?.with_context(|| format!("map {name} cannot be served"))?;
         let AliasingRate { views, aliased, .. } = map.aliasing_rate();
         let kinds: Vec<String> = map.feature_kinds().into_iter().map(|kind| kind.extractor).collect();
@@ -97,24 +110,32 @@ impl MapSource {
         }
     }
 
-    /// The map, if its version or its identity differs from the served one.
+    /// The map, if its version, its contents or its identity differ from those of the served one.
     fn newer(&self, present: &LoadedMap) -> anyhow::Result<Option<NewVersion>> {
-        let (served, identity) = (present.info().version, present.identity());
+        let served = MapVersion::of(present);
+        let is_served =
+            |new: &MapVersion, number: u64| (new.identity, number) == (served.identity, served.version);
         let new = match &self.origin {
-            Origin::Releases(releases) => releases
-                .newer(served, identity)?
-                .map(|(map, release)| NewVersion { map: Arc::new(map), release: Some(release) }),
-            Origin::Database(database) => {
-                let (stored, landmarks) = store::open_map(database)?;
-                let info = &stored.contents.info;
-                if (info.version, info.identity) == (served, Some(identity)) {
+            Origin::Releases(releases) => {
+                let Some(release) = releases.newest()? else { return Ok(None) };
+                let new = version_of(&release);
+                if is_served(&new, new.number_after(&served)) || releases.is_refused(&release) {
                     return Ok(None);
                 }
-                let map = Arc::new(LoadedMap::load(stored, landmarks)?);
-                Some(NewVersion { map, release: None })
+                let number = number_after(&self.name, &new, Some(&served));
+                let map = Arc::new(releases.load(&release, number)?);
+                NewVersion { map, release: Some(release) }
+            }
+            Origin::Database(database) => {
+                let stored = Stored::open(database)?;
+                let new = stored.version();
+                if is_served(&new, new.number_after(&served)) {
+                    return Ok(None);
+                }
+                let number = number_after(&self.name, &new, Some(&served));
+                NewVersion { map: Arc::new(stored.load(number)?), release: None }
             }
         };
-        let Some(new) = new else { return Ok(None) };
         if new.map.keyframe_count() == 0 {
             self.refuse(new);
             bail!("the new version has no keyframes");
@@ -182,6 +203,67 @@ impl MapSource {
         }
         self.keep(new).await;
     }
+}
+
+/// A map that is stored, before its landmarks are read.
+struct Stored {
+    map: StoredMap,
+    landmarks: StoredLandmarks,
+}
+
+impl Stored {
+    fn open(database: &Path) -> anyhow::Result<Stored> {
+        let (map, landmarks) = store::open_map(database)?;
+        Ok(Stored { map, landmarks })
+    }
+
+    fn version(&self) -> MapVersion {
+        let MapMetadata { version, identity, .. } = self.map.contents.info;
+        // A stored map has one.
+        let (digest, identity) = (self.map.digest, identity.unwrap_or(self.map.digest));
+        MapVersion { identity, version, digest: Some(digest) }
+    }
+
+    /// Loads it under a number.
+    fn load(mut self, number: u64) -> anyhow::Result<LoadedMap> {
+        self.map.contents.info.version = number;
+        Ok(LoadedMap::load(self.map, self.landmarks)?)
+    }
+}
+
+fn version_of(release: &Release) -> MapVersion {
+    MapVersion { identity: release.identity(), version: release.map.version, digest: Some(release.digest) }
+}
+
+/// What robots were served last; `None` where that is not known. A state that fails is logged.
+fn last_served(state: &ServerState, name: &str) -> Option<MapVersion> {
+    let served = state.last_served(name);
+    let served =
+        served.inspect_err(|error| tracing::warn!(name, "what was served before is not known: {error}"));
+    served.ok()?.map(|served| served.map_version())
+}
+
+/// The number under which a version is served; says where that is not its own.
+fn number_after(name: &str, new: &MapVersion, served: Option<&MapVersion>) -> u64 {
+    let Some(served) = served else { return new.version };
+    let number = new.number_after(served);
+    if number != new.version && new.digest == served.digest {
+        tracing::info!(
+            name,
+            version = new.version,
+            served_as = number,
+            "the map is what was served before, and is served under the number that it had then"
+        );
+    } else if number != new.version {
+        tracing::warn!(
+            name,
+            version = new.version,
+            served_as = number,
+            "the map has the number of the version that was served, and other contents: it was changed in two places, or a copy was put in \
+             its place. It is served under the next number, so that robots do not take one for the other"
+        );
+    }
+    number
 }
 
 /// A version that is not served yet.

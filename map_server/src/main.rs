@@ -78,10 +78,11 @@ async fn serve() -> anyhow::Result<()> {
     let (by_cells, whole) = arguments.maps_by_cells()?;
     let open = |map: &&MapArgument| MapSource::open(map, &cache, arguments.release_key.as_ref());
     let sources = whole.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
+    let state = open_state(arguments.state.as_deref()).await;
     let mut maps = Vec::with_capacity(sources.len());
     for source in &sources {
         tokio::select! {
-            map = source.load() => maps.push(map?),
+            map = source.load(state.as_ref()) => maps.push(map?),
             signal = &mut stopped => {
                 tracing::info!("{signal}: stopping before the maps were loaded");
                 return end_in_time();
@@ -103,7 +104,7 @@ async fn serve() -> anyhow::Result<()> {
     }
     options.cell_memory = arguments.memory.map(|ByteSize(bytes)| bytes);
     options.draws_cells = arguments.http.is_some();
-    options.state = open_state(arguments.state.as_deref()).await;
+    options.state = state;
     let server = MapServer::start(session.clone(), maps, options).await?;
     let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
     let inbox = take_sessions(&session, &arguments).await?;

@@ -4,7 +4,6 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context;
-use protocol::MapIdentity;
 use recognition::LoadedMap;
 use releases::{
     Release, ReleaseError, ReleaseKey, ReleasePlace, ReleaseSource, ReleaseStore, fetch_without_images,
@@ -41,27 +40,44 @@ impl ReleasedMap {
         Ok(ReleasedMap { source: source.following(place.choice), refused: Arc::default() })
     }
 
-    /// The release that is followed, or where the store is away the one that was served last, and its map. Called in a thread that may
-    /// block, within a runtime.
+    /// The release that is followed, or where the store is away the one that was served last. Called in a thread that may block, within a
+    /// runtime.
     ///
     /// # Errors
     /// The store has no release, or can't be reached and nothing is cached.
-    pub fn load(&self) -> anyhow::Result<(LoadedMap, Release)> {
-        let release = Handle::current().block_on(self.source.newest_or_cached())?;
-        Ok((self.load_release(&release)?, release))
+    pub fn newest_or_cached(&self) -> anyhow::Result<Release> {
+        Ok(Handle::current().block_on(self.source.newest_or_cached())?)
     }
 
-    /// The release that is followed and its map, if that is not the one that is served, nor one that was refused.
+    /// The release that is followed; `None` where there is none yet.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn newest(&self) -> anyhow::Result<Option<Release>> {
+        Ok(Handle::current().block_on(self.source.newest())?)
+    }
+
+    /// The map of a release.
+    ///
+    /// # Arguments
+    /// * `number`: of its version, for robots.
     ///
     /// # Errors
     /// The store cannot be read, or what it has is damaged.
-    pub fn newer(&self, served: u64, identity: MapIdentity) -> anyhow::Result<Option<(LoadedMap, Release)>> {
-        let Some(newest) = Handle::current().block_on(self.source.newest())? else { return Ok(None) };
-        let is_served = (newest.map.version, newest.identity()) == (served, identity);
-        if is_served || self.refused().as_ref() == Some(&newest) {
-            return Ok(None);
-        }
-        Ok(Some((self.load_release(&newest)?, newest)))
+    pub fn load(&self, release: &Release, number: u64) -> anyhow::Result<LoadedMap> {
+        let ReleaseSource { store, cache, .. } = &self.source;
+        let mut contents = Handle::current().block_on(fetch_without_images(store, release, Some(cache)))?;
+        contents.info.version = number;
+        let map = LoadedMap::from_contents(contents)
+            .with_context(|| format!("{} of {}", release.title(), store.place()))?;
+        tracing::info!(
+            place = store.place(),
+            release = release.title(),
+            cells = release.cells.len(),
+            bytes = release.bytes(),
+            "fetched a release"
+        );
+        Ok(map.with_digest(release.digest))
     }
 
     /// Notes that a release is served now: what the cache has of others is removed.
@@ -74,6 +90,11 @@ impl ReleasedMap {
         *self.refused() = Some(release);
     }
 
+    /// Whether a release was the last to be refused.
+    pub fn is_refused(&self, release: &Release) -> bool {
+        self.refused().as_ref() == Some(release)
+    }
+
     /// The release that was refused is loaded again.
     pub fn look_again(&self) {
         *self.refused() = None;
@@ -81,20 +102,5 @@ impl ReleasedMap {
 
     fn refused(&self) -> MutexGuard<'_, Option<Release>> {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn load_release(&self, release: &Release) -> anyhow::Result<LoadedMap> {
-        let ReleaseSource { store, cache, .. } = &self.source;
-        let contents = Handle::current().block_on(fetch_without_images(store, release, Some(cache)))?;
-        let map = LoadedMap::from_contents(contents)
-            .with_context(|| format!("{} of {}", release.title(), store.place()))?;
-        tracing::info!(
-            place = store.place(),
-            release = release.title(),
-            cells = release.cells.len(),
-            bytes = release.bytes(),
-            "fetched a release"
-        );
-        Ok(map)
     }
 }

@@ -26,7 +26,7 @@ use crate::queue::{Job, Queue, Target};
 use crate::reports::{QueryReport, ReportSender};
 use crate::senders::Senders;
 use crate::served_map::{MapSlot, ServedMap};
-use crate::state::{ServerState, note_served};
+use crate::state::{MapVersion, ServerState, note_served};
 use crate::workers::Workers;
 
 /// How long [`MapServer::stop`] waits for queries that are being answered.
@@ -146,7 +146,7 @@ impl MapServer {
         );
         for map in maps.values() {
             let loaded = map.current();
-            note_served(options.state.as_ref(), &map.name, loaded.identity(), loaded.info().version).await;
+            note_served(options.state.as_ref(), &map.name, MapVersion::of(&loaded)).await;
         }
         let recognition = options.recognition;
         let cell_memory = CellMemory::new(options.cell_memory, Arc::clone(&metrics));
@@ -281,7 +281,7 @@ impl MapServer {
             "replaced a map"
         );
         let published = change::publish(&self.session, change).await;
-        note_served(self.state.as_ref(), name, given, version).await;
+        note_served(self.state.as_ref(), name, MapVersion::of(&map)).await;
         published
     }
 

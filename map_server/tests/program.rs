@@ -344,3 +344,75 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     assert!(server.0.wait().unwrap().success());
     client.close().await.unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_that_was_changed_in_two_places_is_served_under_two_numbers() {
+    let directory = tempfile::tempdir().unwrap();
+    let [path, copy, state, log] =
+        ["hall.db", "copy.db", "state", "log"].map(|name| directory.path().join(name));
+    stored_map(&path);
+    testing::copy_folder(&path, &copy);
+    let changed = |path: &Path, by: f64| {
+        let mut contents = store::load_map(path).unwrap().contents;
+        contents.keyframes[1].global_from_keyframe.pose.translation.y += by;
+        assert_eq!(store::save_map(path, &contents, true).unwrap().version, 2);
+    };
+    changed(&path, 0.3);
+    changed(&copy, -0.2);
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let map = format!("hall={}", path.display());
+    let start = || {
+        let stderr = std::fs::File::options().create(true).append(true).open(&log).unwrap();
+        let mut command = program();
+        command.args(["--map", &map, "--listen", &endpoint, "--state"]).arg(&state);
+        Running(command.stderr(stderr).spawn().unwrap())
+    };
+    let options = SessionOptions { connect: vec![endpoint.clone()], ..SessionOptions::default() };
+    let says = || std::fs::read_to_string(&log).unwrap().matches("changed in two places").count();
+    let first_y = |path: &Path| {
+        store::load_map(path).unwrap().contents.keyframes[1].global_from_keyframe.pose.translation.y
+    };
+    let moved_by = first_y(&copy) - first_y(&path);
+
+    let mut server = start();
+    let client = open_session(&options).await.unwrap();
+    let version = async || {
+        let info = ask(&client, "map/hall/info").await.unwrap();
+        protocol::decode::<MapInfoReply>(Format::Bincode, &info).unwrap().version
+    };
+    assert_eq!(version().await, 2);
+    let news = client.declare_subscriber("map/hall/changes").await.unwrap();
+    let aside = directory.path().join("aside.db");
+    std::fs::rename(&path, &aside).unwrap();
+    std::fs::rename(&copy, &path).unwrap();
+    signal(&server, "-HUP");
+    let notice = tokio::time::timeout(Duration::from_mins(1), news.recv_async()).await.unwrap().unwrap();
+    let notice: MapChangeNotice = protocol::decode(Format::Bincode, &notice.payload().to_bytes()).unwrap();
+    assert_eq!((notice.from_version, notice.version, notice.keyframe_motions.len()), (2, 3, 1));
+    let told = f64::from(notice.keyframe_motions[0].translation_m[1]);
+    assert!((told - moved_by).abs() < 1e-6, "{told} m of {moved_by} m");
+    assert_eq!((version().await, says()), (3, 1));
+
+    // It stays so, also after a restart.
+    signal(&server, "-HUP");
+    while !std::fs::read_to_string(&log).unwrap().contains("has the version that is served") {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    signal(&server, "-TERM");
+    assert!(server.0.wait().unwrap().success());
+    let mut server = start();
+    assert_eq!((version().await, says()), (3, 1));
+    signal(&server, "-TERM");
+    assert!(server.0.wait().unwrap().success());
+
+    // Nor is another copy, put in its place while the server is stopped, taken for what it served.
+    let mut contents = store::load_map(&path).unwrap().contents;
+    contents.keyframes[1].global_from_keyframe.pose.translation.y += 1.0;
+    assert_eq!(store::save_map(&aside, &contents, true).unwrap().version, 3);
+    std::fs::remove_dir_all(&path).unwrap();
+    std::fs::rename(&aside, &path).unwrap();
+    let _server = start();
+    assert_eq!((version().await, says()), (4, 2));
+    client.close().await.unwrap();
+}

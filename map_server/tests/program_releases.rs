@@ -130,7 +130,8 @@ fn a_restarted_server_says_where_a_map_is_older_than_before_or_another_one() {
     let [path, backup, other] = ["hall.db", "backup.db", "other.db"].map(|name| directory.path().join(name));
     stored_map(&path);
     testing::copy_folder(&path, &backup);
-    let contents = store::load_map(&path).unwrap().contents;
+    let mut contents = store::load_map(&path).unwrap().contents;
+    contents.keyframes[1].global_from_keyframe.pose.translation.x += 0.1;
     store::save_map(&path, &contents, true).unwrap();
     let place =
         Place::new(&PlaceOptions { seed: 2, keyframes: 5, landmarks: 100, ..PlaceOptions::default() });

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use map_server::state::{ServerState, SledStore, StateError, StateStore};
+use map_server::state::{MapVersion, ServerState, SledStore, StateError, StateStore};
 use proptest::prelude::*;
 use protocol::MapIdentity;
 
@@ -15,6 +15,10 @@ const UPDATE: &str = "UPDATE";
 
 fn identity(byte: u8) -> MapIdentity {
     MapIdentity::from_bytes([byte; 16])
+}
+
+fn version(map: u8, version: u64) -> MapVersion {
+    MapVersion { identity: identity(map), version, digest: None }
 }
 
 /// Opens a database that another program has just let go of.
@@ -34,9 +38,9 @@ fn child_that_notes() {
     let Ok(path) = std::env::var(CHILD_PATH) else { return };
     let state = ServerState::new(open(Path::new(&path)));
     let last = state.last_served("hall").unwrap().map_or(0, |served| served.version);
-    for version in last + 1.. {
-        state.note_served("hall", identity(1), version).unwrap();
-        println!("acknowledged {version}");
+    for number in last + 1.. {
+        state.note_served("hall", &version(1, number)).unwrap();
+        println!("acknowledged {number}");
     }
 }
 
@@ -95,12 +99,16 @@ proptest! {
 fn the_version_that_was_served_before_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let state = ServerState::new(open(folder.path()));
-    assert_eq!(state.note_served("hall", identity(1), 3).unwrap(), None);
-    let same = state.note_served("hall", identity(1), 3).unwrap().unwrap();
+    assert_eq!(state.note_served("hall", &version(1, 3)).unwrap(), None);
+    let same = state.note_served("hall", &version(1, 3)).unwrap().unwrap();
     assert_eq!((same.identity, same.version), (identity(1), 3));
-    assert_eq!(state.note_served("hall", identity(2), 1).unwrap().unwrap(), same);
+    assert_eq!(state.note_served("hall", &version(2, 1)).unwrap().unwrap(), same);
     assert_eq!(state.last_served("hall").unwrap().unwrap().identity, identity(2));
     assert_eq!(state.last_served("yard").unwrap(), None);
+    // Other contents are another version, whatever its number.
+    let changed = MapVersion { digest: Some(identity(9)), ..version(2, 1) };
+    state.note_served("hall", &changed).unwrap();
+    assert_eq!(state.last_served("hall").unwrap().unwrap().map_version(), changed);
     // One folder, one server.
     let said = SledStore::open(folder.path()).err().unwrap().to_string();
     assert!(said.contains("--state"), "{said}");
@@ -113,7 +121,7 @@ fn what_it_does_not_understand_is_refused_or_replaced() {
     store.set("served/hall", b"version 7").unwrap();
     let state = ServerState::new(store);
     assert!(matches!(state.last_served("hall"), Err(StateError::Value { .. })));
-    assert_eq!(state.note_served("hall", identity(1), 8).unwrap(), None);
+    assert_eq!(state.note_served("hall", &version(1, 8)).unwrap(), None);
     assert_eq!(state.last_served("hall").unwrap().unwrap().version, 8);
     drop(state);
     open(folder.path()).set("schema", &9_u16.to_le_bytes()).unwrap();
@@ -134,7 +142,7 @@ fn a_database_of_schema_1_is_read() {
     let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/state_1");
     if std::env::var_os(UPDATE).is_some() {
         let _ = std::fs::remove_dir_all(&kept);
-        ServerState::new(open(&kept)).note_served("hall", identity(7), 5).unwrap();
+        ServerState::new(open(&kept)).note_served("hall", &version(7, 5)).unwrap();
     }
     // sled writes to what it reads.
     let folder = tempfile::tempdir().unwrap();
@@ -143,4 +151,31 @@ fn a_database_of_schema_1_is_read() {
     let served = ServerState::new(open(&copy)).last_served("hall").unwrap().unwrap();
     assert_eq!((served.identity, served.version), (identity(7), 5));
     assert!(served.since_unix_s > 1_700_000_000);
+}
+
+#[test]
+fn a_version_is_served_under_a_number_that_tells_it_from_the_one_before() {
+    let of = |version: u64, contents: u8| MapVersion {
+        identity: identity(1),
+        version,
+        digest: Some(identity(contents)),
+    };
+    let cases = [
+        // The next version, an older one, the same one.
+        (of(7, 2), of(6, 1), 7),
+        (of(5, 2), of(6, 1), 5),
+        (of(6, 1), of(6, 1), 6),
+        // Of the same number, and other contents.
+        (of(6, 2), of(6, 1), 7),
+        // The same contents, which were served under the next number, or were written again.
+        (of(6, 2), of(7, 2), 7),
+        (of(8, 2), of(7, 2), 8),
+        // Where contents are not known, or of another map, the number stays.
+        (version(1, 6), of(6, 1), 6),
+        (of(6, 2), version(1, 6), 6),
+        (of(6, 2), MapVersion { identity: identity(3), ..of(6, 1) }, 6),
+    ];
+    for (new, served, number) in cases {
+        assert_eq!(new.number_after(&served), number, "{new:?} after {served:?}");
+    }
 }

@@ -37,6 +37,9 @@ pub struct LoadedMap {
     /// With the kind of the features that the landmarks and the index are of.
     pub(crate) info: MapMetadata,
     pub(crate) identity: MapIdentity,
+    /// See [`LoadedMap::digest`].
+    #[serde(skip)]
+    pub(crate) digest: Option<MapIdentity>,
     /// Layout of its files.
     pub(crate) store_schema: u16,
     /// Shared by all kinds of features; written beside, see [`LoadedMap::freeze`].
@@ -89,6 +92,7 @@ impl LoadedMap {
     /// # Errors
     /// As [`LoadedMap::read`].
     pub fn load(stored: StoredMap, mut landmarks: StoredLandmarks) -> Result<LoadedMap, LoadError> {
+        let digest = stored.digest;
         let mut contents = stored.contents;
         // Of use to who changes a map only.
         contents.existence = Vec::new();
@@ -113,7 +117,13 @@ impl LoadedMap {
             let aliases = if kind == 0 { std::mem::take(&mut contents.aliases) } else { Vec::new() };
             loader.finish(aliases)
         });
-        joined(&mut loaded)
+        Ok(joined(&mut loaded)?.with_digest(digest))
+    }
+
+    /// The map with the [digest](MapContents::digest) of its contents.
+    #[must_use]
+    pub fn with_digest(self, digest: MapIdentity) -> LoadedMap {
+        LoadedMap { digest: Some(digest), ..self }
     }
 
     /// Indexes a map that is in memory already.
@@ -172,6 +182,11 @@ impl LoadedMap {
     /// [digest](MapContents::digest) of the map.
     pub fn identity(&self) -> MapIdentity {
         self.identity
+    }
+
+    /// What is in this version, where that is known: of a map that was stored, and of one that was given it by [`LoadedMap::with_digest`].
+    pub fn digest(&self) -> Option<MapIdentity> {
+        self.digest
     }
 
     /// Number of keyframes.

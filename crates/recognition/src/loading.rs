@@ -95,6 +95,7 @@ impl MapLoader {
             index: LandmarkIndex::empty(kind, width)?,
             info,
             identity: parts.identity,
+            digest: None,
             store_schema: parts.store_schema,
             poses: Arc::clone(&parts.poses),
             landmarks: Landmarks::with_capacity(landmark_count, observations.len()),

@@ -22,7 +22,7 @@ use crate::change;
 use crate::error::ServeError;
 use crate::routing::CellDirectory;
 use crate::server::MapServer;
-use crate::state::{ServerState, note_served};
+use crate::state::{MapVersion, ServerState, note_served};
 
 /// How long the set of servers stays as it is before cells are assigned: several that start together would else fetch all.
 const SETTLING: Duration = Duration::from_secs(1);
@@ -232,7 +232,12 @@ impl Running {
     async fn keep(&self) {
         let release = &self.release;
         self.source.keep(release);
-        note_served(self.state.as_ref(), &self.name, release.identity(), release.map.version).await;
+        let served = MapVersion {
+            identity: release.identity(),
+            version: release.map.version,
+            digest: Some(release.digest),
+        };
+        note_served(self.state.as_ref(), &self.name, served).await;
     }
 
     /// Waits until no server has come or gone for a while.

@@ -8,8 +8,10 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | `map_version` | [`MapVersion`]: what tells versions of a map from each other |
 //! | `sled_store` | [`SledStore`]: the trait on sled |
 
+mod map_version;
 mod sled_store;
 
 use std::path::PathBuf;
@@ -19,6 +21,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use protocol::MapIdentity;
 use serde::{Deserialize, Serialize};
 
+pub use map_version::MapVersion;
 pub use sled_store::SledStore;
 
 /// A database of small values by their names. What was set before the program was killed is there again.
@@ -77,24 +80,34 @@ pub enum StateError {
 pub struct ServedVersion {
     /// Of the map.
     pub identity: MapIdentity,
-    /// Of the map.
+    /// The number under which it was served.
     pub version: u64,
+    /// Digest of what was in it, where that was known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub digest: Option<MapIdentity>,
     /// Since when, seconds since 1970.
     pub since_unix_s: u64,
+}
+
+impl ServedVersion {
+    /// Without the time.
+    pub fn map_version(&self) -> MapVersion {
+        MapVersion { identity: self.identity, version: self.version, digest: self.digest }
+    }
 }
 
 /// The state of a server.
 ///
 /// # Example
 /// ```
-/// use map_server::state::{ServerState, SledStore};
+/// use map_server::state::{MapVersion, ServerState, SledStore};
 /// use protocol::MapIdentity;
 ///
 /// let folder = tempfile::tempdir()?;
 /// let state = ServerState::new(SledStore::open(folder.path())?);
-/// let identity = MapIdentity::from_bytes([7; 16]);
-/// assert_eq!(state.note_served("hall", identity, 3)?, None);
-/// let before = state.note_served("hall", identity, 4)?.ok_or("served before")?;
+/// let third = MapVersion { identity: MapIdentity::from_bytes([7; 16]), version: 3, digest: None };
+/// assert_eq!(state.note_served("hall", &third)?, None);
+/// let before = state.note_served("hall", &MapVersion { version: 4, ..third })?.ok_or("served before")?;
 /// assert_eq!(before.version, 3);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -125,12 +138,7 @@ impl ServerState {
     ///
     /// # Errors
     /// [`StateError::Failed`].
-    pub fn note_served(
-        &self,
-        map: &str,
-        identity: MapIdentity,
-        version: u64,
-    ) -> Result<Option<ServedVersion>, StateError> {
+    pub fn note_served(&self, map: &str, served: &MapVersion) -> Result<Option<ServedVersion>, StateError> {
         let before = match self.last_served(map) {
             Err(error @ StateError::Value { .. }) => {
                 tracing::warn!("{error}");
@@ -138,12 +146,13 @@ impl ServerState {
             }
             before => before?,
         };
-        if before.as_ref().is_some_and(|before| (before.identity, before.version) == (identity, version)) {
+        if before.as_ref().is_some_and(|before| before.map_version() == *served) {
             return Ok(before);
         }
+        let MapVersion { identity, version, digest } = *served;
         let since_unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         let key = key_of(map);
-        let value = serde_json::to_vec(&ServedVersion { identity, version, since_unix_s })
+        let value = serde_json::to_vec(&ServedVersion { identity, version, digest, since_unix_s })
             .map_err(|source| StateError::Value { key: key.clone(), source })?;
         self.store.set(&key, &value)?;
         Ok(before)
@@ -156,20 +165,16 @@ fn key_of(map: &str) -> String {
 
 /// Notes which version of a map is served from now on, and says where it is not a later one of the same map. A state that fails is
 /// logged: the map is served all the same.
-pub(crate) async fn note_served(
-    state: Option<&Arc<ServerState>>,
-    map: &str,
-    identity: MapIdentity,
-    version: u64,
-) {
+pub(crate) async fn note_served(state: Option<&Arc<ServerState>>, map: &str, served: MapVersion) {
     let Some(state) = state.cloned() else { return };
     let name = map.to_owned();
-    let noting = tokio::task::spawn_blocking(move || state.note_served(&name, identity, version));
+    let noting = tokio::task::spawn_blocking(move || state.note_served(&name, &served));
     let before = match noting.await.map_err(anyhow::Error::from).and_then(|noted| Ok(noted?)) {
         Ok(Some(before)) => before,
         Ok(None) => return,
         Err(error) => return tracing::warn!(name = map, "what is served is not kept: {error}"),
     };
+    let MapVersion { identity, version, .. } = served;
     if before.identity != identity {
         tracing::warn!(
             name = map,
@@ -184,6 +189,13 @@ pub(crate) async fn note_served(
             served_before = before.version,
             since_unix_s = before.since_unix_s,
             "the map is older than the version that this server served before: was a backup restored, or a release taken away?"
+        );
+    } else if served.number_after(&before.map_version()) > version {
+        tracing::warn!(
+            name = map,
+            version,
+            "the map has the version that this server served before and other contents: robots that hold parts of that one take them for \
+             parts of this one; make it the next version"
         );
     }
 }

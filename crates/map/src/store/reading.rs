@@ -8,7 +8,7 @@ use super::stored_landmarks::{LandmarkCounts, StoredLandmarks, decode_landmark};
 use super::stored_map::StoredMap;
 use super::version_file::VersionFile;
 use crate::added::KeptImage;
-use crate::contents::ObservationCounts;
+use crate::contents::{MapContents, ObservationCounts};
 use crate::file::manifest::Manifest;
 use crate::file::record::{Element as _, LandmarkObservers, decode};
 
@@ -38,7 +38,7 @@ pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
             contents.images.push(KeptImage::from_record([keyframe], decode(payload)?)?);
             Ok(())
         })?;
-        Ok(StoredMap { contents, bytes_on_disk: manifest.bytes(), schema: manifest.schema() })
+        Ok(stored(manifest, contents))
     })
 }
 
@@ -83,8 +83,13 @@ pub fn open_map(path: impl AsRef<Path>) -> Result<(StoredMap, StoredLandmarks), 
         }
         file.visit_images(|_, _| Ok(()))?;
         let landmarks = StoredLandmarks { file, counted };
-        Ok((StoredMap { contents, bytes_on_disk: manifest.bytes(), schema: manifest.schema() }, landmarks))
+        Ok((stored(manifest, contents), landmarks))
     })
+}
+
+fn stored(manifest: &Manifest, contents: MapContents) -> StoredMap {
+    let (digest, bytes_on_disk, schema) = (manifest.digest, manifest.bytes(), manifest.schema());
+    StoredMap { contents, digest, bytes_on_disk, schema }
 }
 
 /// The kinds of features of a map, as [`VersionFile::visit_landmarks`] takes them.

@@ -10,6 +10,8 @@ use crate::contents::MapContents;
 pub struct StoredMap {
     /// The map, sorted by id.
     pub contents: MapContents,
+    /// What is in this version: see [`MapContents::digest`].
+    pub digest: MapIdentity,
     /// Bytes of the map's files.
     pub bytes_on_disk: u64,
     /// Layout of its files: [`STORE_SCHEMA`](super::STORE_SCHEMA) or [`EXTENDED_STORE_SCHEMA`](super::EXTENDED_STORE_SCHEMA).
