@@ -20,8 +20,10 @@ use crate::session_files;
 
 /// Kind of a refused session that is no session file, or a damaged one.
 const UNREADABLE: &str = "unreadable";
-/// A session may end so long from now: clocks differ.
+/// A session may end so long from now: clocks differ. It may end so long from when it began by the clock of its robot.
 const MAX_AHEAD_DAYS: f64 = 1.0;
+/// Seconds of a day.
+const DAY_S: f64 = 86_400.0;
 
 /// What became of all sessions, and of the map.
 #[derive(Debug, Default, Serialize)]
@@ -34,6 +36,8 @@ pub struct JobReport {
     pub known: Vec<PassedSession>,
     /// Those in the inbox whose robots asked another map.
     pub other_maps: Vec<PassedSession>,
+    /// Those whose times are in doubt; they are used all the same.
+    pub doubtful: Vec<DoubtfulSession>,
     /// The map before.
     pub before: Counts,
     /// The map afterwards.
@@ -70,6 +74,15 @@ pub struct RefusedSession {
     pub reason: String,
     /// It was refused before, by the same map and settings, and not looked at again.
     pub before: bool,
+}
+
+/// A session whose times are in doubt.
+#[derive(Debug, Serialize)]
+pub struct DoubtfulSession {
+    /// Where it is.
+    pub file: PathBuf,
+    /// In words.
+    pub reason: String,
 }
 
 /// A session that was passed over.
@@ -112,6 +125,8 @@ pub trait Watch {
     fn taken(&mut self, session: &TakenSession);
     /// It is not used.
     fn refused(&mut self, session: &RefusedSession);
+    /// Its times are in doubt.
+    fn doubtful(&mut self, session: &DoubtfulSession);
 }
 
 /// Works sessions into a map.
@@ -149,7 +164,14 @@ pub fn maintain(
             Ok(session) if is_of_inbox && session.is_of_other(map) => {
                 job.report.other_maps.push(PassedSession { file, id: session.id });
             }
-            Ok(session) => waiting.push(session),
+            Ok(session) => {
+                if let Some(reason) = session.doubt.clone() {
+                    let doubtful = DoubtfulSession { file, reason };
+                    job.watch.doubtful(&doubtful);
+                    job.report.doubtful.push(doubtful);
+                }
+                waiting.push(session);
+            }
             Err(error) => {
                 let (kind, reason) = (UNREADABLE.to_owned(), format!("{error:#}"));
                 job.refuse(RefusedSession { file, robot: None, kind, reason, before: false });
@@ -267,6 +289,8 @@ struct Waiting {
     build: BuildOptions,
     /// The maps that its robot asked.
     asked: BTreeSet<MapIdentity>,
+    /// Why its times are in doubt.
+    doubt: Option<String>,
 }
 
 impl Waiting {
@@ -282,19 +306,61 @@ impl Waiting {
             anyhow::bail!("it was cut off before anything was recorded");
         };
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
-        let ahead_days = (recorded.end_ns as f64 * 1e-9 - now_s as f64) / 86_400.0;
+        let ahead_days = (recorded.end_ns as f64 * 1e-9 - now_s as f64) / DAY_S;
         // Everything else in the map would look old.
         anyhow::ensure!(
             ahead_days < MAX_AHEAD_DAYS,
             "it ends {ahead_days:.0} days from now: the clock of robot {} is wrong",
             session.header.robot
         );
+        let doubt = clock_doubt(session.header.started_unix_s, recorded.end_ns, &session.header.robot);
         let asked = session.answers.iter().map(|answer| answer.map_identity).collect();
         let robot = session.header.robot;
         let (id, begin_ns) = (recorded.id, recorded.begin_ns);
         let mut build = BuildOptions::default();
         build.robot = Some(robot.clone());
         build.recorded = Some(recorded);
-        Ok(Waiting { file: file.to_owned(), id, robot, begin_ns, build, asked })
+        Ok(Waiting { file: file.to_owned(), id, robot, begin_ns, build, asked, doubt })
+    }
+}
+
+/// Why the times of a session are in doubt: its images are days from when it began by the clock of its robot.
+///
+/// # Arguments
+/// * `started_unix_s`: when it began, seconds since 1970; 0 where that is not known.
+/// * `end_ns`: time of its last image, nanoseconds.
+fn clock_doubt(started_unix_s: u64, end_ns: i64, robot: &str) -> Option<String> {
+    let days = (end_ns as f64 * 1e-9 - started_unix_s as f64) / DAY_S;
+    (started_unix_s > 0 && days.abs() > MAX_AHEAD_DAYS).then(|| {
+        let way = if days < 0.0 { "before" } else { "after" };
+        format!(
+            "its last image is of {:.0} days {way} it began by the clock of robot {robot}: the clock of its cameras was wrong, or a \
+             recording was played; the map takes the times of the images for when things were seen",
+            days.abs()
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::clock_doubt;
+
+    #[test]
+    fn times_of_images_that_are_days_from_the_clock_of_the_robot_are_in_doubt() {
+        const NOW_S: u64 = 1_750_000_000;
+        let end_ns = |s: i64| s * 1_000_000_000;
+        let now = NOW_S as i64;
+        for fine in [now, now + 80_000, now - 80_000] {
+            assert_eq!(clock_doubt(NOW_S, end_ns(fine), "ada"), None);
+        }
+        let booted_in_1970 = clock_doubt(NOW_S, end_ns(600), "ada").unwrap();
+        assert!(
+            booted_in_1970.contains("20255 days before") && booted_in_1970.contains("ada"),
+            "{booted_in_1970}"
+        );
+        let ahead = clock_doubt(NOW_S, end_ns(now + 200_000), "ada").unwrap();
+        assert!(ahead.contains("2 days after"), "{ahead}");
+        // Not known.
+        assert_eq!(clock_doubt(0, end_ns(now), "ada"), None);
     }
 }

@@ -14,7 +14,7 @@ use map::sessions::SessionId;
 use releases::Outcome;
 
 use super::build_report::print_partial_kinds;
-use crate::maintenance_job::{JobReport, RefusedSession, TakenSession, Watch, maintain};
+use crate::maintenance_job::{DoubtfulSession, JobReport, RefusedSession, TakenSession, Watch, maintain};
 use crate::refused_sessions::RefusedSessions;
 use crate::stage_bar::StageBar;
 
@@ -308,6 +308,12 @@ impl Watch for Lines {
             removed.gone, removed.replaced, removed.unused
         );
         println!("  agrees with the map: ratio {:.2} (1 is as stated); {seconds:.1} s", of.map_ratio);
+    }
+
+    fn doubtful(&mut self, session: &DoubtfulSession) {
+        if !self.is_quiet {
+            println!("{}: {}", session.file.display(), session.reason);
+        }
     }
 
     fn refused(&mut self, session: &RefusedSession) {

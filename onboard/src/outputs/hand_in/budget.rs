@@ -24,6 +24,11 @@ impl Budget {
         self.saved = (self.saved + seconds * self.bytes_per_second).min(most);
     }
 
+    /// The clock was set by so many nanoseconds.
+    pub(super) fn shift_clock(&mut self, by_ns: i64) {
+        self.last_ns = self.last_ns.map(|last_ns| last_ns.saturating_add(by_ns));
+    }
+
     /// Takes what must be taken.
     pub(super) fn take(&mut self, bytes: f64) {
         self.saved -= bytes;

@@ -47,6 +47,11 @@ impl SessionIdentity {
         }
     }
 
+    /// Readings that wait are of a clock that was set by so many nanoseconds.
+    pub(super) fn shift_clock(&mut self, by_ns: i64) {
+        self.waiting.iter_mut().for_each(|reading| reading.stamp_ns = reading.stamp_ns.saturating_add(by_ns));
+    }
+
     /// The identity of the next session; readings that came since the last image may be part of it.
     pub(super) fn begin_next(&mut self) {
         let waiting = std::mem::take(&mut self.waiting);

@@ -144,6 +144,10 @@ impl Output for HandInOutput {
         self.send(Item::Restart);
     }
 
+    fn set_clock_shift(&mut self, shift_ns: i64) {
+        self.send(Item::ClockShift(shift_ns));
+    }
+
     fn fault(&self) -> Option<&str> {
         self.fault.get().map(String::as_str)
     }

@@ -127,6 +127,19 @@ impl SessionBuilder {
         self.waiting.iter_mut().for_each(|image| image.local_from_imu = None);
     }
 
+    /// The clock was set, after [`SessionBuilder::end_session`]: what is left for the next session is of the new clock, too.
+    ///
+    /// # Arguments
+    /// * `by_ns`: what the new clock is ahead, nanoseconds.
+    pub(super) fn shift_clock(&mut self, by_ns: i64) {
+        self.readings
+            .iter_mut()
+            .for_each(|reading| reading.stamp_ns = reading.stamp_ns.saturating_add(by_ns));
+        self.last_reading_ns = self.last_reading_ns.saturating_add(by_ns);
+        self.identity.shift_clock(by_ns);
+        self.budget.shift_clock(by_ns);
+    }
+
     /// How long the session is so far, by the images that were decided about, nanoseconds.
     pub(super) fn length_ns(&self) -> i64 {
         let ends = self.session_begin_ns.zip(self.last_frame_ns);

@@ -242,3 +242,65 @@ fn a_folder_that_is_full_ends_the_recording_and_is_an_alarm_that_says_what_to_do
     let fault = output.fault().unwrap();
     assert!(fault.contains("1000001 bytes") && fault.contains("driftless hand-in"), "{fault}");
 }
+
+/// The sessions of a drive whose clock is set by `by_ns` at an image.
+fn recorded_with_clock_set(folder: &Path, at_image: i64, by_ns: i64) -> Vec<Session> {
+    let mut output = HandInOutput::start(settings(folder, 9e5, LONG)).unwrap();
+    for item in drive(800) {
+        if matches!(item, Item::Image(stamp_ns) if stamp_ns == at_image * IMAGE_NS) {
+            output.set_clock_shift(by_ns);
+        }
+        output.send(item);
+    }
+    drop(output);
+    let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths.iter().map(|path| Session::open(path).unwrap()).collect()
+}
+
+#[test]
+fn a_session_has_the_times_of_a_clock_that_was_set() {
+    const YEARS_NS: i64 = 1_750_000_000_000_000_000;
+    let folder = tempfile::tempdir().unwrap();
+    // Booted in 1970, and corrected after 15 s.
+    let sessions = recorded_with_clock_set(folder.path(), 300, YEARS_NS);
+    let [session] = sessions.as_slice() else { panic!("{} sessions", sessions.len()) };
+    let recorded = session.recorded.clone().unwrap();
+    let (begin_ns, end_ns) = (YEARS_NS + 300 * IMAGE_NS, YEARS_NS + 799 * IMAGE_NS);
+    assert_eq!((recorded.begin_ns, recorded.end_ns), (begin_ns, end_ns));
+    assert!(
+        session.readings.iter().all(|reading| (begin_ns - 200_000_000..end_ns).contains(&reading.stamp_ns))
+    );
+    assert!(session.frames.iter().all(|frame| (begin_ns..=end_ns).contains(&frame.stamp_ns)));
+    assert!(session.answers.len() > 5 && session.answers.iter().all(|answer| answer.stamp_ns >= begin_ns));
+    assert_eq!(session.header.started_unix_s, begin_ns as u64 / 1_000_000_000);
+    // The identity is that of the readings with these times.
+    let mut digest = RecordedDigest::default();
+    let readings = (0..8000).map(reading).map(|of| ImuSample { stamp_ns: of.stamp_ns + YEARS_NS, ..of });
+    for reading in readings.filter(|reading| (begin_ns..end_ns).contains(&reading.stamp_ns)) {
+        let [[a, b, c], [d, e, f]] = [reading.gyroscope, reading.accelerometer].map(<[f64; 3]>::from);
+        digest.add_reading(reading.stamp_ns, [a, b, c, d, e, f]);
+    }
+    (300..800).for_each(|image| digest.add_image(YEARS_NS + image * IMAGE_NS));
+    assert_eq!(recorded.id, digest.finish().id.to_bytes());
+}
+
+#[test]
+fn a_clock_that_is_set_by_little_ends_a_session_and_begins_the_next_whichever_way() {
+    for by_ns in [3_600_000_000_000, -2_000_000_000] {
+        let folder = tempfile::tempdir().unwrap();
+        let sessions = recorded_with_clock_set(folder.path(), 400, by_ns);
+        let times: Vec<_> = sessions
+            .iter()
+            .map(|session| {
+                session.recorded.as_ref().map(|recorded| (recorded.begin_ns, recorded.end_ns)).unwrap()
+            })
+            .collect();
+        let after = (by_ns + 400 * IMAGE_NS, by_ns + 799 * IMAGE_NS);
+        assert_eq!(times, [(0, 399 * IMAGE_NS), after]);
+        let [before, after] = sessions.as_slice() else { panic!("{} sessions", sessions.len()) };
+        assert!(before.is_ended && after.candidates() > 5);
+        let samples = |session: &Session| session.recorded.clone().unwrap().new_samples;
+        assert!(samples(before).iter().all(|sample| !samples(after).contains(sample)));
+    }
+}
