@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix6, Vector2};
+use nalgebra::Vector2;
 use protocol::FeatureSet;
 use sensors::{Frame, ReferencePose, Sequence};
 use vision::{DescriptorError, MatchOptions, match_descriptors};
@@ -233,20 +233,9 @@ pub(super) fn camera_pose(
     imu_from_camera: &geometry::pose::Pose,
     options: &BuildOptions,
 ) -> PoseWithCovariance {
-    let covariance = stated_covariance(&reference.covariance, options);
-    PoseWithCovariance::new(reference.pose, covariance).change_of_child(imu_from_camera)
-}
-
-/// The covariance of a reference pose; a sigma of the options replaces its block, and what that block was correlated with.
-pub(super) fn stated_covariance(of_pose: &Matrix6<f64>, options: &BuildOptions) -> Matrix6<f64> {
-    let mut covariance = *of_pose;
-    for (first, sigma) in [(0, options.sigma_theta_rad), (3, options.sigma_p_m)] {
-        let Some(sigma) = sigma else { continue };
-        covariance.fixed_rows_mut::<3>(first).fill(0.0);
-        covariance.fixed_columns_mut::<3>(first).fill(0.0);
-        covariance.fixed_view_mut::<3, 3>(first, first).fill_diagonal(sigma * sigma);
-    }
-    covariance
+    let ReferencePose { pose, covariance, .. } =
+        reference.with_sigmas(options.sigma_theta_rad, options.sigma_p_m);
+    PoseWithCovariance::new(pose, covariance).change_of_child(imu_from_camera)
 }
 
 pub(super) fn rays(camera: &Camera, features: &FeatureSet) -> Vec<Option<Vector2<f64>>> {

@@ -43,6 +43,19 @@ impl ReferencePose {
         Self { stamp_ns, pose, covariance: isotropic_covariance(sigma_theta_rad, sigma_p_m) }
     }
 
+    /// The same pose, as certain as stated here: a standard deviation replaces the block of the rotation (rad) or of the position (m), and
+    /// what that block was correlated with.
+    #[must_use]
+    pub fn with_sigmas(mut self, sigma_theta_rad: Option<f64>, sigma_p_m: Option<f64>) -> Self {
+        for (first, sigma) in [(0, sigma_theta_rad), (3, sigma_p_m)] {
+            let Some(sigma) = sigma else { continue };
+            self.covariance.fixed_rows_mut::<3>(first).fill(0.0);
+            self.covariance.fixed_columns_mut::<3>(first).fill(0.0);
+            self.covariance.fixed_view_mut::<3, 3>(first, first).fill_diagonal(sigma * sigma);
+        }
+        self
+    }
+
     /// The largest standard deviations of the rotation about an axis (rad) and of the position along an axis (m).
     pub fn largest_sigmas(&self) -> (f64, f64) {
         let sigma = |first: usize| self.covariance.diagonal().fixed_rows::<3>(first).max().sqrt();

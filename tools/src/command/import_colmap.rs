@@ -37,7 +37,7 @@ pub struct Args {
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// The recording that gives scale and gravity [default: DIR, where it is a recording]
-    #[arg(long, value_name = "REC")]
+    #[arg(long, value_name = "REC", conflicts_with = "gravity")]
     pub recording: Option<PathBuf>,
     /// Metres in the model's unit of length [default: by the recording]
     #[arg(long, value_name = "M")]
@@ -150,7 +150,11 @@ fn frame(args: &Args, model: &ColmapModel) -> anyhow::Result<ColmapFrame> {
             Ok(ColmapFrame::of_recording(model, &sequence, scale, &odometry_config(&sequence)?)?)
         }
         (_, Some((scale, sigma)), gravity) => Ok(ColmapFrame::given(scale, sigma, gravity)),
-        (_, None, _) => bail!(
+        (Some(recording), None, Some(_)) => bail!(
+            "{} is a recording, which gives scale and gravity: leave --gravity out, or give the scale with --scale, too",
+            recording.display()
+        ),
+        (None, None, _) => bail!(
             "a COLMAP model has no unit of length: give the metres in it with --scale, or the recording of its images with \
              --recording REC"
         ),

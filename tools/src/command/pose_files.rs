@@ -81,7 +81,7 @@ impl PriorArguments {
         Ok(priors)
     }
 
-    /// Poses of any format; the sigmas are those of the file where it has some, else of the switches.
+    /// Poses of any format; the sigmas are those of the switches, else of the file where it has some.
     ///
     /// # Errors
     /// A file that cannot be read, or without standard deviations or times.
@@ -139,7 +139,8 @@ fn poses_of_file(
         check_covariance(&covariance).with_context(|| {
             format!("{}: the covariance of the pose at {} ns", path.display(), row.stamp_ns)
         })?;
-        Ok(ReferencePose { stamp_ns: row.stamp_ns, pose: row.pose, covariance })
+        let stated = ReferencePose { stamp_ns: row.stamp_ns, pose: row.pose, covariance };
+        Ok(stated.with_sigmas(sigma_theta, sigma_p))
     };
     file.poses.iter().zip(covariances).map(reference).collect()
 }
@@ -174,6 +175,12 @@ mod tests {
         states::write(&path, std::slice::from_ref(&row)).unwrap();
         let poses = poses_of_file(&path, None, None, None).unwrap();
         assert!((poses[0].covariance - covariance).amax() < 1e-12);
+        // What is known better than the file states it.
+        let wider = poses_of_file(&path, None, Some(0.05), Some(0.3)).unwrap();
+        assert_eq!(wider[0].covariance, isotropic_covariance(0.05, 0.3));
+        let positions = poses_of_file(&path, None, None, Some(0.3)).unwrap()[0].covariance;
+        assert!((positions[(0, 0)] - 0.02_f64.powi(2)).abs() < 1e-12 && positions[(0, 4)] == 0.0);
+        assert_eq!(positions[(3, 3)], 0.3 * 0.3);
 
         let mut indefinite = row;
         indefinite.local_from_imu.covariance[(3, 3)] = -1.0;

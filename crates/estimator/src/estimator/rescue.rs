@@ -316,7 +316,7 @@ mod tests {
                 accelerometer_bias: Vector3::zeros(),
             };
             let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-12 };
-            let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
+            let rig = vec![CalibratedCamera::new(camera.clone(), Pose::identity())];
             let mut estimator = Estimator::new(config.clone(), rig, &initial).unwrap();
             let turn = rotation::exp(&Vector3::new(0.02, -0.01, yaw));
             let motion = FixedMotion {

@@ -249,3 +249,16 @@ fn a_ledger_in_which_two_sessions_have_the_same_readings_is_refused() {
     write(&sessions);
     read_map(folder.path()).unwrap();
 }
+
+#[test]
+fn the_keyframes_without_which_nothing_is_read_are_written_last() {
+    let folder = tempfile::tempdir().unwrap();
+    // They cannot be written: the place is taken.
+    let occupied = folder.path().join(format!("{}.unfinished", super::names::KEYFRAMES));
+    std::fs::create_dir_all(occupied.join("x")).unwrap();
+    let _ = write_map(folder.path(), &random_map(3, true)).unwrap_err();
+    let written = |name: &str| folder.path().join(name).exists();
+    assert!(written(super::names::COVARIANCES) && written(super::names::OBSERVATIONS));
+    assert!(!written(super::names::KEYFRAMES));
+    read_map(folder.path()).unwrap_err();
+}

@@ -33,9 +33,12 @@ pub fn write_map(folder: &Path, contents: &MapContents) -> Result<(), MapFileErr
     check_free(folder)?;
     std::fs::create_dir_all(folder)
         .map_err(|reason| MapFileError::Write { path: folder.to_owned(), reason })?;
-    for (name, text) in texts(&sorted) {
+    let mut texts = texts(&sorted);
+    // No map can be read without its keyframes: what a killed program leaves is none, and not one that lacks its covariances.
+    texts.sort_by_key(|(name, _)| name == names::KEYFRAMES);
+    for (name, text) in texts {
         let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|reason| MapFileError::Write { path, reason })?;
+        files::write_whole(&path, text.as_bytes()).map_err(|reason| MapFileError::Write { path, reason })?;
     }
     Ok(())
 }

@@ -14,7 +14,6 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use sensors::{CameraSensor, Frame, ReferencePose, Sequence};
 
-use crate::keyframe_selection::stated_covariance;
 use crate::matching::FeatureMatch;
 use crate::reference_poses::ReferencePoses;
 use crate::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
@@ -276,8 +275,7 @@ fn a_pose_between_two_is_at_most_as_certain_as_both_and_a_sigma_replaces_its_blo
     let poses = ReferencePoses::new(&[at(0, wide), at(100, narrow)]);
     assert_eq!(poses.at(100).unwrap().covariance, narrow);
     assert!((poses.at(25).unwrap().covariance - (wide * 0.75 + narrow * 0.25)).amax() < 1e-15);
-    let options = BuildOptions { sigma_p_m: Some(0.2), ..BuildOptions::default() };
-    let stated = stated_covariance(&narrow, &options);
+    let stated = at(0, narrow).with_sigmas(None, Some(0.2)).covariance;
     assert_eq!(stated.fixed_view::<3, 3>(0, 0), narrow.fixed_view::<3, 3>(0, 0));
     assert_eq!((stated[(4, 4)], stated[(0, 4)], stated[(4, 0)]), (0.2 * 0.2, 0.0, 0.0));
 }

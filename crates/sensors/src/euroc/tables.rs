@@ -220,7 +220,7 @@ fn covariance_of(sigmas_m: Vector3<f64>) -> Matrix3<f64> {
 /// Reads positions: `ns,x,y,z`, as EuRoC's `leica0/data.csv`, or `ns,x,y,z,sigma_x,sigma_y,sigma_z` (m).
 ///
 /// # Arguments
-/// * `sigma_p_m`: standard deviation along each axis of those that state none.
+/// * `sigma_p_m`: standard deviation along each axis, whatever the file states; `None` takes that of the file.
 ///
 /// # Errors
 /// [`SequenceError`] with the file and the line, also where no standard deviation is known.
@@ -236,7 +236,7 @@ pub fn read_reference_positions(
             problem: "no standard deviations: add three columns of them, or state that of all positions"
                 .to_owned(),
         };
-        let sigmas = row.sigmas_m.or(sigma_p_m.map(Vector3::repeat)).ok_or_else(unknown)?;
+        let sigmas = sigma_p_m.map(Vector3::repeat).or(row.sigmas_m).ok_or_else(unknown)?;
         let covariance = covariance_of(sigmas);
         Ok(ReferencePosition { stamp_ns: row.stamp_ns, position: row.position, covariance })
     };
