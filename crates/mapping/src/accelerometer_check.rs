@@ -226,6 +226,8 @@ mod tests {
     use geometry::rotation::exp;
     use nalgebra::UnitQuaternion;
 
+    type Change = fn(Vector3<f64>) -> Vector3<f64>;
+
     /// A hand that moves a camera about, for 30 s; poses at 20 Hz that are off by centimetres, readings with biases.
     fn carried() -> (Vec<ImuSample>, Vec<ReferencePose>) {
         let position = |t: f64| Vector3::new((1.3 * t).sin(), 0.7 * (1.7 * t).cos(), 0.3 * (2.1 * t).sin());
@@ -307,7 +309,7 @@ mod tests {
     #[test]
     fn positions_on_other_axes_are_refused_with_those_that_fit() {
         let (readings, poses) = carried();
-        let changes: [(fn(Vector3<f64>) -> Vector3<f64>, &str); 4] = [
+        let changes: [(Change, &str); 4] = [
             (|at| Vector3::new(at.x, at.y, -at.z), "(x, y, -z)"),
             (|at| Vector3::new(at.y, at.x, -at.z), "(y, x, -z)"),
             (|at| Vector3::new(at.y, -at.x, at.z) * 1000.0, "(-y, x, z)"),
