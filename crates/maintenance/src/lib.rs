@@ -5,7 +5,7 @@
 //! 1. It is refused where the ledger has it, where it shows no place of the map, and where it contradicts the map ([`Refusal`]).
 //! 2. It is located in the map, whose poses stay as they are ([`mapping::MapPoses::Considered`]).
 //! 3. Which landmarks its keyframes saw, and which they should have seen, changes the probability that each is there
-//!    ([`ExistenceModel`], [`DetectionRates`]). What is gone is taken out.
+//!    ([`ExistenceModel`], [`DetectionRates`]), once a drive. What is gone is taken out.
 //! 4. Of each place, so many keyframes of each appearance, and so many landmarks, stay as [`Settings`] say: the map is as large as what it covers.
 //!
 //! Derivation: `docs/src/derivations/existence.md`.

@@ -4,9 +4,9 @@
 //! last trusted pose. The pose in the map is not carried over; a new filter is localized by its own queries.
 
 use estimator::{
-    CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, GnssReading, ImuSample,
-    InitMethod, InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, LearnedWheels,
-    Localization, Status, TrackObservation, WheelReading,
+    CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, GnssCounts, GnssReading,
+    ImuSample, InitMethod, InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise,
+    LearnedWheels, Localization, Status, TrackObservation, WheelReading, WheelReport,
 };
 use sensors::push_newest;
 use std::collections::VecDeque;
@@ -46,12 +46,28 @@ pub struct EstimatorSupervisor {
     learned_wheels: Option<LearnedWheels>,
     /// Readings of the wheels for the next filter.
     wheel_readings: VecDeque<WheelReading>,
+    /// What the filters before did with wheels and GNSS.
+    before: SensorReports,
     bad_initializations: i32,
     /// Why the last filter diverged.
     divergence: Option<String>,
     init_status: InitStatus,
     /// Time of the next warning that there is no pose, nanoseconds.
     next_warning_ns: Option<i64>,
+}
+
+/// What all filters of a run did with readings that are not those of cameras and IMU.
+#[derive(Clone, Debug, Default)]
+struct SensorReports {
+    wheels: Option<WheelReport>,
+    gnss: Option<GnssCounts>,
+}
+
+impl SensorReports {
+    /// Of a filter, which counts on from those before it.
+    fn of(estimator: &Estimator) -> Self {
+        Self { wheels: estimator.wheel_report(), gnss: estimator.gnss_counts() }
+    }
 }
 
 impl EstimatorSupervisor {
@@ -75,6 +91,7 @@ impl EstimatorSupervisor {
             learned_noise: None,
             learned_wheels: None,
             wheel_readings: VecDeque::new(),
+            before: SensorReports::default(),
             bad_initializations: 0,
             divergence: None,
             init_status: InitStatus::NoData,
@@ -131,11 +148,26 @@ impl EstimatorSupervisor {
         }
     }
 
-    /// Adds a position of GNSS. What the estimator refuses, it counts; before its initialization there is no odometry to align it with.
+    /// Adds a position of GNSS. What the estimator refuses, it counts; before its initialization there is no odometry to align it with,
+    /// and it is counted only.
     pub fn gnss(&mut self, reading: GnssReading) {
-        if let Phase::Running(estimator) = &mut self.phase {
-            let _ = estimator.gnss(reading);
+        match &mut self.phase {
+            Phase::Running(estimator) => drop(estimator.gnss(reading)),
+            Phase::Initializing(_) if self.config.gnss.is_some() => {
+                self.before.gnss.get_or_insert_default().before_initialization += 1;
+            }
+            Phase::Initializing(_) => {}
         }
+    }
+
+    /// What wheel odometry did in all of the run, and the calibration that the last filter found; `None` without it.
+    pub fn wheel_report(&self) -> Option<WheelReport> {
+        self.estimator().and_then(Estimator::wheel_report).or_else(|| self.before.wheels.clone())
+    }
+
+    /// What GNSS did in all of the run; `None` without it.
+    pub fn gnss_counts(&self) -> Option<GnssCounts> {
+        self.estimator().and_then(Estimator::gnss_counts).or(self.before.gnss)
     }
 
     /// Adds a reading of the wheels. What the estimator refuses, it counts.
@@ -178,6 +210,7 @@ impl EstimatorSupervisor {
         if let Some(learned) = &self.learned_wheels {
             estimator.resume_wheels(learned);
         }
+        estimator.resume_counts(self.before.gnss, self.before.wheels.as_ref().map(|report| report.counts));
         for reading in initializer.readings_for(&initial) {
             match estimator.imu(*reading) {
                 // It was dropped, as one of a running filter is.
@@ -249,6 +282,9 @@ impl EstimatorSupervisor {
             let _ = initializer.imu(*reading);
         }
         initializer.discard_rest();
+        if let Phase::Running(estimator) = &self.phase {
+            self.before = SensorReports::of(estimator);
+        }
         self.phase = Phase::Initializing(Box::new(initializer));
         self.divergence = Some(why.to_string());
         self.init_status = InitStatus::NoData;
@@ -266,5 +302,51 @@ impl EstimatorSupervisor {
                 Status { localization, reason, last_map_update_ns: None, held_keyframes: 0 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use estimator::propagation::{ImuMatrix, ImuState};
+    use estimator::{GnssConfig, InitialState};
+    use geometry::Pose;
+    use geometry::camera::{Camera, Distortion};
+    use nalgebra::{Matrix3, Vector3};
+
+    fn position(stamp_ns: i64, x: f64) -> GnssReading {
+        GnssReading { stamp_ns, position: Vector3::x() * x, covariance: Matrix3::identity() * 1e-4 }
+    }
+
+    #[test]
+    fn what_all_filters_of_a_run_did_with_gnss_is_counted_together() {
+        let mut config = EstimatorConfig::default();
+        config.gnss = Some(GnssConfig::default());
+        let (focal, centre) = ([400.0; 2], [320.0, 240.0]);
+        let camera = Camera { width: 640, height: 480, focal, centre, distortion: Distortion::None };
+        let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
+        let imu = ImuState {
+            local_from_imu: Pose::identity(),
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
+        };
+        let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-4 };
+        let filter = || Estimator::new(config.clone(), rig.clone(), &initial).unwrap();
+        let mut supervisor = EstimatorSupervisor::running(filter(), rig.clone());
+        supervisor.gnss(position(1, f64::NAN));
+        let why = EstimatorError::Diverged(Divergence::MotionUnknown { seconds: 2.0 });
+        supervisor.reinitialize(10, &why, &[]);
+        supervisor.gnss(position(11, 0.0));
+        supervisor.gnss(position(12, 0.0));
+        let counts = supervisor.gnss_counts().unwrap();
+        assert_eq!((counts.refused, counts.before_initialization), (1, 2));
+        let mut next = filter();
+        next.resume_counts(Some(counts), None);
+        assert_eq!(next.gnss_counts(), Some(counts));
+        // Without an antenna there is nothing to count.
+        let mut without = EstimatorSupervisor::initializing(EstimatorConfig::default(), rig);
+        without.gnss(position(1, 0.0));
+        assert_eq!(without.gnss_counts(), None);
     }
 }

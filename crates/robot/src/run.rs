@@ -439,8 +439,8 @@ impl<'a> Robot<'a> {
         self.report.alarms = self.alarms.kept().to_vec();
         self.report.learned_noise = self.supervisor.learned_noise();
         self.report.readout_times_s = self.supervisor.estimator().and_then(Estimator::readout_times);
-        self.report.wheels = self.supervisor.estimator().and_then(Estimator::wheel_report);
-        self.report.gnss = self.supervisor.estimator().and_then(Estimator::gnss_counts);
+        self.report.wheels = self.supervisor.wheel_report();
+        self.report.gnss = self.supervisor.gnss_counts();
         self.report.final_status = Some(self.status());
         // It publishes through the outputs.
         self.prediction = None;

@@ -99,7 +99,7 @@ impl Estimator {
     }
 
     /// Initializes `global_from_local` by the readings since a time, where they fit odometry and show the yaw.
-    fn initialize_by_gnss(&mut self, gnss: &mut Gnss, since_ns: i64) {
+    pub(super) fn initialize_by_gnss(&mut self, gnss: &mut Gnss, since_ns: i64) {
         let begin = gnss.located.partition_point(|located| located.stamp_ns < since_ns);
         let located = &gnss.located.make_contiguous()[begin..];
         let config = &gnss.config;

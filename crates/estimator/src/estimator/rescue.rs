@@ -291,33 +291,34 @@ impl Estimator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::CalibratedCamera;
-    use crate::EstimatorConfig;
+    use crate::gnss::alignment::Located;
     use crate::propagation::ImuMatrix;
+    use crate::{CalibratedCamera, EstimatorConfig, GnssConfig};
     use geometry::camera::{Camera, Distortion};
     use geometry::rotation;
+    use nalgebra::Matrix3;
+
+    /// A filter that starts at a pose that is known.
+    fn estimator(config: &EstimatorConfig, local_from_imu: Pose) -> Estimator {
+        let (focal, centre) = ([400.0; 2], [320.0, 240.0]);
+        let camera = Camera { width: 640, height: 480, focal, centre, distortion: Distortion::None };
+        let imu = ImuState {
+            local_from_imu,
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
+        };
+        let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-12 };
+        let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
+        Estimator::new(config.clone(), rig, &initial).unwrap()
+    }
 
     /// Far from the origin of L and turned against it.
     #[test]
     fn a_motion_by_fixes_is_as_uncertain_in_the_map_as_it_states() {
-        let camera = Camera {
-            width: 640,
-            height: 480,
-            focal: [400.0; 2],
-            centre: [320.0, 240.0],
-            distortion: Distortion::None,
-        };
-        let config = EstimatorConfig::default();
         for (yaw, metres) in [(0.0, 0.0), (0.8, 20.0), (1.6, 100.0), (3.1, 100.0)] {
-            let imu = ImuState {
-                local_from_imu: Pose::new(rotation::exp(&(Vector3::z() * 0.3)), Vector3::x() * metres),
-                velocity: Vector3::zeros(),
-                gyroscope_bias: Vector3::zeros(),
-                accelerometer_bias: Vector3::zeros(),
-            };
-            let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-12 };
-            let rig = vec![CalibratedCamera::new(camera.clone(), Pose::identity())];
-            let mut estimator = Estimator::new(config.clone(), rig, &initial).unwrap();
+            let local_from_imu = Pose::new(rotation::exp(&(Vector3::z() * 0.3)), Vector3::x() * metres);
+            let mut estimator = estimator(&EstimatorConfig::default(), local_from_imu);
             let turn = rotation::exp(&Vector3::new(0.02, -0.01, yaw));
             let motion = FixedMotion {
                 global_from_imu: Pose::new(turn, Vector3::new(7.0, -3.0, 1.0)),
@@ -333,5 +334,36 @@ mod tests {
             let off = (claimed.covariance - stated).amax();
             assert!(off < 1e-6, "{yaw} rad, {metres} m: {}", claimed.covariance);
         }
+    }
+
+    #[test]
+    fn positions_from_before_a_failure_do_not_bring_the_old_transform_back() {
+        let config = EstimatorConfig { gnss: Some(GnssConfig::default()), ..EstimatorConfig::default() };
+        let mut estimator = estimator(&config, Pose::identity());
+        let turned = |at: Vector3<f64>| rotation::exp(&(Vector3::z() * 0.5)) * at;
+        let locate = |estimator: &mut Estimator, from: i64| {
+            let gnss = estimator.gnss.as_mut().unwrap();
+            for step in from..from + 30 {
+                let seconds = step as f64;
+                let in_local = Vector3::new(1.5 * seconds, 10.0 * (0.1 * seconds).sin(), 0.0);
+                gnss.locate(Located {
+                    stamp_ns: step * 1_000_000_000,
+                    in_local,
+                    in_global: turned(in_local),
+                    covariance: Matrix3::identity() * 1e-4,
+                });
+            }
+        };
+        let initialized = |estimator: &mut Estimator| {
+            let mut gnss = estimator.gnss.take().unwrap();
+            estimator.initialize_by_gnss(&mut gnss, i64::MIN);
+            estimator.gnss = Some(gnss);
+            estimator.state.transform.is_some()
+        };
+        locate(&mut estimator, 0);
+        estimator.note_odometry_failure();
+        assert!(!initialized(&mut estimator));
+        locate(&mut estimator, 30);
+        assert!(initialized(&mut estimator));
     }
 }

@@ -2,13 +2,14 @@
 
 use super::Estimator;
 use crate::error::EstimatorError;
+use crate::gnss::report::GnssCounts;
 use crate::state::Block;
 use crate::wheels::buffer::BadWheelReading;
 use crate::wheels::calibration::WheelCalibration;
 use crate::wheels::linearization::{ClonesAround, TimedPose, linearize};
 use crate::wheels::measurement::{Part, WheelMeasurement};
 use crate::wheels::preintegration::{PlanarMotion, preintegrate};
-use crate::wheels::report::{LearnedWheels, WheelReport};
+use crate::wheels::report::{LearnedWheels, WheelCounts, WheelReport};
 use crate::wheels::{DueInterval, TimedClone, WheelOdometry};
 use types::WheelReading;
 
@@ -45,6 +46,16 @@ impl Estimator {
         let Some(range) = range else { return };
         self.state.wheels = Some(*calibration);
         self.covariance.replace(range.start, covariance);
+    }
+
+    /// Counts on from what other filters of the same run counted.
+    pub fn resume_counts(&mut self, gnss: Option<GnssCounts>, wheels: Option<WheelCounts>) {
+        if let (Some(own), Some(counts)) = (&mut self.gnss, gnss) {
+            own.counts = counts;
+        }
+        if let (Some(own), Some(counts)) = (&mut self.wheels, wheels) {
+            own.counts = counts;
+        }
     }
 
     /// Takes in the newest clone, and makes the updates that are due.
