@@ -18,8 +18,8 @@ const TF_STATIC: &str = "/tf_static";
 
 /// Finds the robot's frame on the IMU.
 ///
-/// Where nobody states it within five seconds it is taken for that of the IMU, which is logged and said by the diagnostics, and is
-/// looked for in the background: it is used as soon as it is stated. Needs a tokio runtime.
+/// Where nobody states it within five seconds it is taken for that of the IMU, which log and diagnostics report, and is looked for in the
+/// background: it is used as soon as it is stated. Needs a tokio runtime.
 ///
 /// # Arguments
 /// * `imu`: topic of the readings, whose header names the frame of the IMU.

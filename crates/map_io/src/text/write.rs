@@ -34,7 +34,7 @@ pub fn write_map(folder: &Path, contents: &MapContents) -> Result<(), MapFileErr
     std::fs::create_dir_all(folder)
         .map_err(|reason| MapFileError::Write { path: folder.to_owned(), reason })?;
     let mut texts = texts(&sorted);
-    // No map can be read without its keyframes: what a killed program leaves is none, and not one that lacks its covariances.
+    // No map can be read without its keyframes: what a killed program leaves cannot be read, and is not taken for a map without covariances.
     texts.sort_by_key(|(name, _)| name == names::KEYFRAMES);
     for (name, text) in texts {
         let path = folder.join(name);

@@ -45,7 +45,7 @@ impl OwnPoses {
     /// * `covariance`: of all states at these.
     ///
     /// # Returns
-    /// Zeros without poses; `None` where a covariance is not positive definite, so that nothing can be said.
+    /// Zeros without poses; `None` where a covariance is not positive definite, so that they cannot be compared.
     pub(super) fn moved(&self, poses: &[Pose], covariance: &StateCovariance) -> Option<[f64; 2]> {
         let together: Vec<Pose> = self.views.iter().map(|&view| poses[view]).collect();
         let (Some(first), Some(own)) = (together.first(), self.poses.first()) else {

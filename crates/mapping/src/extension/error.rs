@@ -66,7 +66,7 @@ pub enum ExtendError {
         "the cross-covariances of the map's keyframes contradict each other: import or build the map again"
     )]
     Indefinite,
-    /// The recording's own covariance is none.
+    /// The covariance of the recording's own trajectory is not positive definite.
     #[error(
         "the recording cannot be compared with the map: the covariance of its own trajectory is not positive definite"
     )]
