@@ -17,6 +17,7 @@
 mod error;
 mod imu_intrinsics;
 pub mod kalibr;
+mod mount;
 pub mod numbers;
 pub mod sensor_yaml;
 mod sensors;

@@ -3,9 +3,10 @@
 //! EuRoC's files are OpenCV YAML: a `%YAML:1.0` line, tabs and tags that standard YAML does not allow are removed
 //! first. The body frame is the IMU's, as in EuRoC.
 
+use crate::mount::checked_mount;
 use crate::yaml::{
-    Lens, NoiseYaml, check_positive, checked_mount, checked_time_shift, parse, pose_from_matrix,
-    projection_yaml, read_text, readout_time,
+    Lens, NoiseYaml, check_positive, checked_time_shift, parse, pose_from_matrix, projection_yaml, read_text,
+    readout_time,
 };
 use crate::{CalibrationError, CameraSensor, GnssSensor, ImuSensor, kalibr};
 use geometry::camera::Camera;

@@ -1,8 +1,9 @@
 //! What the YAML files of calibrations have in common: OpenCV's dialect, matrices, pinhole cameras, noise densities.
 
 use crate::CalibrationError;
+use crate::mount::checked_mount;
 use crate::numbers::list;
-use geometry::camera::{Camera, Distortion, check_mount};
+use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -296,23 +297,6 @@ pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<P
     let pose = Pose::new(rotation, Vector3::new(data[3], data[7], data[11]));
     checked_mount(path, key, &pose)?;
     Ok(pose)
-}
-
-/// A sensor farther from the IMU is warned of, metres: only large vehicles have one, and millimetres are a common mistake.
-const FAR_M: f64 = 10.0;
-
-/// Checks where a sensor is in the frame of the IMU. `name`: what the file calls it.
-pub(crate) fn checked_mount(path: &Path, name: &str, imu_from_sensor: &Pose) -> Result<(), CalibrationError> {
-    check_mount(imu_from_sensor)
-        .map_err(|error| CalibrationError::entry(path, format!("{name}: {error}")))?;
-    let distance = imu_from_sensor.translation.norm();
-    if distance > FAR_M {
-        tracing::warn!(
-            "{}: {name} is a translation of {distance:.0} m: the file is in metres, is this one in millimetres?",
-            path.display()
-        );
-    }
-    Ok(())
 }
 
 /// The rotation that a matrix is up to what files round; `None` where it is none.

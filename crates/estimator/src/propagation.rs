@@ -308,9 +308,9 @@ fn noise_across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
     with_gap
 }
 
-/// Variance of the rate of a step that no readings measure (rad^2/s^2); zero for one between readings that follow each other.
-pub(crate) fn rate_variance_of_step(dt: f64) -> f64 {
-    if dt <= MAX_STEP_S { 0.0 } else { GAP_RATE * GAP_RATE }
+/// Variance of the turn about an axis in a step that no readings measure (rad^2); zero for one between readings that follow each other.
+pub(crate) fn turn_variance_across_gap(dt: f64) -> f64 {
+    if dt <= MAX_STEP_S { 0.0 } else { (GAP_RATE * dt).powi(2) }
 }
 
 /// Process noise covariance of one step: white noise and bias random walk.

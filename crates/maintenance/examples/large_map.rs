@@ -98,12 +98,9 @@ fn add_copy(town: &mut MapContents, block: &MapContents, copy: u64, copies: usiz
         town.keyframes.push(keyframe);
     }
     for of_block in &block.landmarks {
-        let mut landmark = of_block.clone();
-        landmark.id += landmark_id;
-        landmark.anchor += keyframe_id;
+        let mut landmark = of_block.clone().with_higher_ids(keyframe_id, landmark_id);
         let other: Vec<u8> = (0..32).map(|_| if copy == 0 { 0 } else { rng.random() }).collect();
         for seen in &mut landmark.observations {
-            seen.keyframe += keyframe_id;
             seen.descriptor.iter_mut().zip(&other).for_each(|(byte, other)| *byte ^= other);
         }
         town.landmarks.push(landmark);

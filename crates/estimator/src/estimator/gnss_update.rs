@@ -91,7 +91,7 @@ impl Estimator {
         Ok(())
     }
 
-    /// Odometry failed, or the map contradicts `global_from_local`: what GNSS measured before would bring the same one back.
+    /// Forgets what `global_from_local` could be aligned with: it is about an L, or a transform, that holds no longer.
     pub(super) fn forget_located(&mut self) {
         if let Some(gnss) = &mut self.gnss {
             gnss.located.clear();

@@ -47,6 +47,12 @@ impl Estimator {
         }
     }
 
+    /// Marginalizes `global_from_local`, which the map contradicts: what GNSS measured before would bring the same one back.
+    pub(super) fn refute_transform(&mut self) {
+        self.remove_transform();
+        self.forget_located();
+    }
+
     /// Tells where the robot is, as an operator says: no measurement, but evidence for the first answer of the map that agrees
     /// with it.
     ///

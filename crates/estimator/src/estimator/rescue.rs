@@ -176,8 +176,7 @@ impl Estimator {
         let is_tilted =
             gravity.is_some_and(|gravity| self.map_fixes.tilt(&gravity, REPLACED_AFTER) > MAX_TILT_RAD);
         if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
-            self.remove_transform();
-            self.forget_located();
+            self.refute_transform();
             self.contradiction = None;
             let newest = FixedPose {
                 global_from_imu: fix.global_from_imu,
@@ -243,18 +242,13 @@ impl Estimator {
         if let Some(learned) = self.learned_wheels() {
             fresh.resume_wheels(&learned);
         }
-        if let (Some(new), Some(old)) = (&mut fresh.wheels, &self.wheels) {
-            new.counts = old.counts;
-        }
+        fresh.resume_counts(self.gnss_counts(), self.wheels.as_ref().map(|wheels| wheels.counts));
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
         fresh.repetition = self.repetition.clone();
         fresh.map_version = self.map_version.clone();
         fresh.map_gravity = self.map_gravity;
         fresh.map_watch = std::mem::take(&mut self.map_watch);
-        if let (Some(new), Some(old)) = (&mut fresh.gnss, &self.gnss) {
-            new.counts = old.counts;
-        }
         fresh.next_clone = self.next_clone;
         fresh.support = self.map_fixes.evidence();
         fresh.last_map_update_ns = Some(initial.stamp_ns);

@@ -201,8 +201,7 @@ impl Estimator {
             self.lost_after = Some(self.rejections_in_a_row);
             self.rejections_in_a_row = 0;
             (self.last_map_update_ns, self.last_gnss_update_ns) = (None, None);
-            self.remove_transform();
-            self.forget_located();
+            self.refute_transform();
         }
     }
 }

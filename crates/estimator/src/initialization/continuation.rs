@@ -1,7 +1,7 @@
 //! L goes on after a divergence: from the last pose that was trusted, as uncertain as what may have happened since.
 
 use super::static_init::{InitialState, yaw_between};
-use crate::propagation::rate_variance_of_step;
+use crate::propagation::turn_variance_across_gap;
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::Vector3;
 use types::ImuSample;
@@ -44,9 +44,8 @@ impl Continuation {
     pub(super) fn propagate(&mut self, previous: &ImuSample, reading: &ImuSample) {
         let seconds = (reading.stamp_ns - previous.stamp_ns.max(self.propagated_ns)) as f64 * 1e-9;
         if seconds > 0.0 {
-            self.gap_variance += rate_variance_of_step(seconds) * seconds * seconds;
-            let unmeasured_s = (previous.stamp_ns - self.propagated_ns).max(0) as f64 * 1e-9;
-            self.gap_variance += rate_variance_of_step(unmeasured_s) * unmeasured_s * unmeasured_s;
+            let unmeasured_s = (previous.stamp_ns - self.propagated_ns) as f64 * 1e-9;
+            self.gap_variance += turn_variance_across_gap(seconds) + turn_variance_across_gap(unmeasured_s);
             let rate = 0.5 * (previous.gyroscope + reading.gyroscope) - self.last.gyroscope_bias;
             self.rotation *= rotation::exp(&(rate * seconds));
             self.propagated_ns = reading.stamp_ns;

@@ -47,8 +47,8 @@ pub struct RosOutput {
     clock_shift_ns: i64,
     diagnostics: watch::Sender<Option<Diagnostics>>,
     static_transforms: watch::Sender<TFMessage>,
-    /// What was published of where the sensors are: the cameras, and whether the robot's frame was known.
-    mounting: Option<(Vec<CameraSensor>, bool)>,
+    /// The cameras, where it was published where they are while the robot's frame was not known: it is again when that is.
+    mounted: Option<Vec<CameraSensor>>,
 }
 
 /// The task that publishes. It ends when all its [`RosOutput`]s are dropped.
@@ -72,13 +72,13 @@ impl RosOutput {
         let (static_transforms, mounting) = watch::channel(TFMessage::default());
         let changes = Changes { diagnostics: last, static_transforms: mounting };
         let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, changes)));
-        let (odom, clock_shift_ns, mounting) = (OdomFrame::default(), 0, None);
-        Ok((Self { settings, odom, queue, clock_shift_ns, diagnostics, static_transforms, mounting }, task))
+        let (odom, clock_shift_ns, mounted) = (OdomFrame::default(), 0, None);
+        Ok((Self { settings, odom, queue, clock_shift_ns, diagnostics, static_transforms, mounted }, task))
     }
 
     /// Publishes where the sensors are mounted, for those who come later as well.
     pub fn publish_mounting(&mut self, cameras: &[CameraSensor]) {
-        self.mounting = Some((cameras.to_vec(), self.settings.body.mount.is_assumed()));
+        self.mounted = self.settings.body.mount.is_assumed().then(|| cameras.to_vec());
         let since_epoch = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
         self.static_transforms.send_replace(static_transforms(&self.settings.body, cameras, stamp));
@@ -89,7 +89,7 @@ impl Output for RosOutput {
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.
     fn estimate(&mut self, estimate: &Estimate) {
         let is_assumed = self.settings.body.mount.is_assumed();
-        if let Some((cameras, _)) = self.mounting.take_if(|(_, was_assumed)| *was_assumed && !is_assumed) {
+        if let Some(cameras) = self.mounted.take_if(|_| !is_assumed) {
             self.publish_mounting(&cameras);
         }
         let mut estimate = estimate.clone();

@@ -8,7 +8,8 @@
 
 use super::Rig;
 use crate::CalibrationError;
-use crate::yaml::{Lens, check_positive, checked_mount, parse};
+use crate::mount::checked_mount;
+use crate::yaml::{Lens, check_positive, parse};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
