@@ -11,7 +11,7 @@ use map::MapMetadata;
 use map::store::{self, StoredLandmarks, StoredMap};
 use map_server::map_argument::MapArgument;
 use map_server::state::MapVersion;
-use map_server::{MapServer, ServeError, ServedMap, ServerState};
+use map_server::{MapServer, ServedMap, ServerState};
 use recognition::{AliasingRate, LoadedMap};
 use releases::{Release, ReleaseKey};
 
@@ -151,9 +151,11 @@ impl MapSource {
         }
     }
 
-    /// Notes that a version is served now.
-    async fn keep(&self, new: NewVersion) {
-        let (Origin::Releases(releases), Some(release)) = (self.origin.clone(), new.release) else { return };
+    /// Notes that a version is served from now on.
+    async fn keep(&self, new: &NewVersion) {
+        let (Origin::Releases(releases), Some(release)) = (self.origin.clone(), new.release.clone()) else {
+            return;
+        };
         if let Err(error) = in_background(move || releases.keep(&release)).await {
             tracing::warn!(name = self.name, "the release is not kept: {error}");
         }
@@ -184,24 +186,22 @@ impl MapSource {
                 );
             }
         };
-        let replaced = server.replace(name, Arc::clone(&new.map), None).await;
-        if let Err(
-            error @ (ServeError::OtherMap { .. }
-            | ServeError::OldVersion { .. }
-            | ServeError::TaskFailed { .. }),
-        ) = replaced
-        {
-            tracing::warn!(
-                name,
-                version,
-                "reload refused; the previous version continues to be served: {error}"
-            );
-            return self.refuse(new);
-        }
-        if let Err(error) = replaced {
+        let replacement = match server.prepare_replacement(name, Arc::clone(&new.map), None).await {
+            Ok(replacement) => replacement,
+            Err(error) => {
+                tracing::warn!(
+                    name,
+                    version,
+                    "reload refused; the previous version continues to be served: {error}"
+                );
+                return self.refuse(new);
+            }
+        };
+        // Before it answers: a server that is killed serves it again, also where the store is away.
+        self.keep(&new).await;
+        if let Err(error) = replacement.serve().await {
             tracing::warn!(name, "the new version is served, but its notice was not published: {error:#}");
         }
-        self.keep(new).await;
     }
 }
 

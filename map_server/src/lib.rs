@@ -88,6 +88,6 @@ pub use metrics::ServerStatistics;
 pub use options::ServerOptions;
 pub use reports::{AnsweredQuery, QueryReport};
 pub use served_map::ServedMap;
-pub use server::MapServer;
+pub use server::{MapServer, Replacement};
 pub use show::Show;
 pub use state::ServerState;

@@ -80,7 +80,7 @@ impl ReleasedMap {
         Ok(map.with_digest(release.digest))
     }
 
-    /// Notes that a release is served now: what the cache has of others is removed.
+    /// Notes that a release is served from now on: what the cache has of others is removed.
     pub fn keep(&self, release: &Release) {
         self.source.keep(release);
     }

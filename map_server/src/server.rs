@@ -5,8 +5,9 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use prometheus_client::registry::Registry;
-use protocol::{StatedChange, Validate as _, keys};
+use protocol::{MapChangeNotice, StatedChange, Validate as _, keys};
 use recognition::{LoadedMap, RecognitionOptions};
+use tokio::sync::MutexGuard;
 use tokio::sync::broadcast::Receiver;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
@@ -112,6 +113,7 @@ impl MapServer {
         for map in maps.values() {
             let loaded = map.current();
             metrics.note_map(&map.name, loaded.keyframe_count(), loaded.info().version);
+            note_served(options.state.as_ref(), &map.name, MapVersion::of(&loaded)).await;
         }
         let reports = ReportSender::new();
         let senders = Senders::follow(&session).await;
@@ -144,10 +146,6 @@ impl MapServer {
             maps = maps.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
             "serving"
         );
-        for map in maps.values() {
-            let loaded = map.current();
-            note_served(options.state.as_ref(), &map.name, MapVersion::of(&loaded)).await;
-        }
         let recognition = options.recognition;
         let cell_memory = CellMemory::new(options.cell_memory, Arc::clone(&metrics));
         Ok(MapServer {
@@ -227,10 +225,21 @@ impl MapServer {
     }
 
     /// Replaces a map by another version of it while it is served and publishes the difference on `map/{map}/changes`. Queries in progress are
-    /// answered with the previous map.
+    /// answered with the previous map. As [`MapServer::prepare_replacement`] and [`Replacement::serve`].
     ///
-    /// The difference is computed before, and what is served is noted on disk afterwards: the notice leaves as soon as the new version
-    /// answers, since robots wait for it for 2 s only.
+    /// # Errors
+    /// As these two.
+    pub async fn replace(
+        &self,
+        name: &str,
+        map: Arc<LoadedMap>,
+        stated_change: Option<StatedChange>,
+    ) -> Result<(), ServeError> {
+        self.prepare_replacement(name, map, stated_change).await?.serve().await
+    }
+
+    /// Compares another version of a map with the one that is served. The caller can write down what is going to be served before it
+    /// answers any query; other replacements of the map wait until this one is served or dropped.
     ///
     /// # Arguments
     /// * `stated_change`: size of the map's motion, if known to the caller; otherwise computed from the keyframes that
@@ -240,17 +249,15 @@ impl MapServer {
     /// [`ServeError::UnknownMap`]; [`ServeError::OtherMap`] for a map of another identity: a version that was made in memory
     /// states the identity of the served map in its info; [`ServeError::OldVersion`] for a version that is not newer;
     /// [`ServeError::TaskFailed`] where the comparison panicked. Then the previous version is served as before.
-    ///
-    /// [`ServeError::Zenoh`], [`ServeError::Codec`] if the map was replaced but the notice was not published.
-    pub async fn replace(
+    pub async fn prepare_replacement(
         &self,
         name: &str,
         map: Arc<LoadedMap>,
         stated_change: Option<StatedChange>,
-    ) -> Result<(), ServeError> {
-        let served = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap { name: name.to_owned() })?;
-        let _changing = served.changing.lock().await;
-        let previous = served.current();
+    ) -> Result<Replacement<'_>, ServeError> {
+        let slot = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap { name: name.to_owned() })?;
+        let changing = slot.changing.lock().await;
+        let previous = slot.current();
         let (served_identity, given) = (previous.identity(), map.identity());
         if served_identity != given {
             return Err(ServeError::OtherMap { name: name.to_owned(), served: served_identity, given });
@@ -265,24 +272,7 @@ impl MapServer {
         };
         let (mut change, added) = comparing.await.map_err(|error| ServeError::task(&error))?;
         change.stated_change = stated_change.or(change.stated_change).filter(|size| size.validate().is_ok());
-        // It is large, and given back behind the notice.
-        let _former = served.replace(Arc::clone(&map));
-        self.metrics.note_map(name, map.keyframe_count(), version);
-        tracing::info!(
-            name,
-            from_version = change.from_version,
-            version = change.version,
-            keyframes = map.keyframe_count(),
-            added,
-            changed = change.changed.len(),
-            moved = change.moved.len(),
-            removed = change.removed.len(),
-            motion = change::describe(change.stated_change.as_ref()),
-            "replaced a map"
-        );
-        let published = change::publish(&self.session, change).await;
-        note_served(self.state.as_ref(), name, MapVersion::of(&map)).await;
-        published
+        Ok(Replacement { server: self, slot, map, change, added, _changing: changing })
     }
 
     /// Stops serving: undeclares everything, then answers the queries already received, for at most 1.5 s.
@@ -302,5 +292,48 @@ impl MapServer {
         let ServerStatistics { answered, failed, refused, panicked, .. } = metrics.statistics();
         tracing::info!(answered, failed, refused, panicked, "stopped serving");
         Ok(result?)
+    }
+}
+
+/// A version of a map that can take the place of the one that is served.
+#[must_use = "the previous version is served until this one is"]
+pub struct Replacement<'server> {
+    server: &'server MapServer,
+    slot: &'server MapSlot,
+    map: Arc<LoadedMap>,
+    change: MapChangeNotice,
+    /// How many keyframes are new.
+    added: usize,
+    _changing: MutexGuard<'server, ()>,
+}
+
+impl Replacement<'_> {
+    /// Notes in the state of the server that the version is served, serves it, and publishes the difference.
+    ///
+    /// The notice leaves as soon as the new version answers, since robots wait for it for 2 s only; what takes time comes before.
+    ///
+    /// # Errors
+    /// [`ServeError::Zenoh`], [`ServeError::Codec`] if the map was replaced but the notice was not published.
+    pub async fn serve(self) -> Result<(), ServeError> {
+        let Replacement { server, slot, map, change, added, _changing } = self;
+        let name = &slot.name;
+        note_served(server.state.as_ref(), name, MapVersion::of(&map)).await;
+        let (keyframes, version) = (map.keyframe_count(), change.version);
+        // It is large, and given back behind the notice.
+        let _former = slot.replace(map);
+        server.metrics.note_map(name, keyframes, version);
+        tracing::info!(
+            name,
+            from_version = change.from_version,
+            version,
+            keyframes,
+            added,
+            changed = change.changed.len(),
+            moved = change.moved.len(),
+            removed = change.removed.len(),
+            motion = change::describe(change.stated_change.as_ref()),
+            "replaced a map"
+        );
+        change::publish(&server.session, change).await
     }
 }

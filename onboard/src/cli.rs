@@ -191,6 +191,24 @@ mod tests {
     }
 
     #[test]
+    fn each_path_of_a_list_is_relative_to_the_file() {
+        let masks = |text: &str| {
+            read(&format!("source: native\ncalibration: c.yaml\nout: run\n{text}"), "").unwrap().robot
+        };
+        let beside = |robot: &RobotArguments, name: &str| robot.out.with_file_name(name);
+        for text in ["mask: left.png,right.png", "mask: [left.png, right.png]"] {
+            let robot = masks(text);
+            assert_eq!(
+                robot.features.mask,
+                ["left.png", "right.png"].map(|name| beside(&robot, name)),
+                "{text}"
+            );
+        }
+        let robot = masks("mask: ['', right.png]");
+        assert_eq!(robot.features.mask, [PathBuf::new(), beside(&robot, "right.png")]);
+    }
+
+    #[test]
     fn what_is_wrong_is_named_with_what_was_meant() {
         let message = |text: &str| read(text, "").unwrap_err().to_string();
         for (text, expected) in [

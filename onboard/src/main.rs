@@ -229,13 +229,32 @@ fn live_settings(
     Ok((calibration.sensors, settings))
 }
 
+/// Names the switches that concern other sources than Zenoh.
+fn warn_of_topics(arguments: &Arguments) {
+    let RobotArguments { wheels, gnss, .. } = &arguments.robot;
+    let mut named = arguments.calibration.files();
+    named.wheel_topic.clone_from(&wheels.wheel_topic);
+    named.gnss_topic.clone_from(&gnss.gnss_topic);
+    for topic in named.topics() {
+        tracing::warn!(
+            topic,
+            "--source native has keys of its own, robot/NAME/sensors/...: this topic is not used"
+        );
+    }
+    if let Some(sequence) = &arguments.sequence {
+        tracing::warn!(sequence = %sequence.display(), "--source native takes live sensors: this recording is not played");
+    }
+}
+
 fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
     let (calibration, mut settings) = live_settings(arguments, &[], &[])?;
     let RobotArguments { wheels, gnss, .. } = &arguments.robot;
-    settings.wheels = wheels.is_expected(calibration.wheels.as_ref()).then_some(WheelReadings::Speeds);
-    settings.gnss = gnss.is_expected(calibration.gnss.as_ref());
+    let (has_wheels, has_gnss) = arguments.robot.expected(&calibration)?;
+    settings.wheels = has_wheels.then_some(WheelReadings::Speeds);
+    settings.gnss = has_gnss;
     let mut files = CalibrationFiles::default();
     wheels.name_topic(&mut files)?;
+    warn_of_topics(arguments);
     let wanted = NativeStreams {
         streams: LiveArguments::streams(&settings),
         wheels: WheelIntake::new(calibration.wheels.as_ref(), &files),

@@ -96,7 +96,8 @@ pub fn run_robot_until<'a>(
     let initial = initial_state(&recording, arguments.init, &config)?;
     let mut source = recording.source()?;
     let run = play(stop, &mut source, (config, initial), arguments, link, progress)?;
-    run.finish(score(&recording, arguments))
+    let score = if run.recorder.is_cut() { Err(NoScore::Cut) } else { score(&recording, arguments) };
+    run.finish(score)
 }
 
 /// Plays any sensor source through a robot until `stop` is raised or the source ends, and writes the output folder.
@@ -369,6 +370,8 @@ impl FinishedRun {
 enum NoScore {
     #[error("the recording has no ground truth")]
     NoTruth,
+    #[error("states.csv has the last part of the run only: give a larger --out-limit-mb")]
+    Cut,
     #[error("the direction of gravity in the truth's frame cannot be found from truth and IMU")]
     NoGravity,
     #[error(transparent)]

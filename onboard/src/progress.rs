@@ -73,7 +73,11 @@ fn score_report(score: &RunScore) -> String {
         "errors against truth", "deg", "m", "max m", "NEES", "n"
     );
     let mut line = |name: &str, score: &Score| {
-        let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| short(nees, 2));
+        let mut nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| short(nees, 2));
+        if score.nees_samples < score.samples {
+            // The NEES leaves those without a covariance out.
+            let _ = write!(nees, " of {}", score.nees_samples);
+        }
         let _ = writeln!(
             text,
             "{name:24} {:>8} {:>9} {:>8} {nees:>8} {:>8}",

@@ -20,6 +20,9 @@ from .subscription import Subscription
 
 T = TypeVar("T")
 
+FIRST_PATIENCE_S = 3.0
+"""After so long without an answer a question is repeated."""
+
 _FORBIDDEN = set("/*$#?@")
 
 
@@ -64,11 +67,15 @@ class Fleet:
     # Maps
 
     def maps(self) -> list[MapInfo]:
-        """All maps that are served, by name. Empty where no server answers within the timeout."""
+        """All maps that are served, by name: of each its newest version. Empty where no server answers within the timeout."""
         try:
-            return sorted(self._ask("map/*/info", MapInfo.from_message), key=lambda one: one.name)
+            answers = self._ask("map/*/info", MapInfo.from_message)
         except NoAnswer:
             return []
+        newest: dict[tuple[str, str], MapInfo] = {}
+        for one in sorted(answers, key=lambda one: one.version):
+            newest[one.name, one.identity] = one
+        return sorted(newest.values(), key=lambda one: one.name)
 
     def info(self, map: str) -> MapInfo:
         """What a map is."""
@@ -79,8 +86,25 @@ class Fleet:
         return self._ask(f"map/{_name(map)}/keyframes/{int(id)}", Keyframe.from_message)[0]
 
     def keyframes(self, map: str) -> list[Keyframe]:
-        """All keyframes of a map, by id. Give a large map a `timeout_s` that suffices to send it."""
-        return sorted(self._ask(f"map/{_name(map)}/keyframes/*", Keyframe.from_message), key=lambda one: one.id)
+        """All keyframes of a map, by id. `NoAnswer` where not all of them come within the timeout, which a large map needs a longer one for."""
+        deadline = time.monotonic() + self.timeout_s
+        key, received = f"map/{_name(map)}/keyframes/*", "no keyframe"
+        while (left := deadline - time.monotonic()) > 0:
+            wanted = self._ask(f"map/{_name(map)}/info", MapInfo.from_message, within_s=left)[0]
+            if wanted.keyframes == 0:
+                return []
+            # A link that is lost ends the answer early, and a map that is replaced has other keyframes in the end.
+            try:
+                left = deadline - time.monotonic()
+                answers = self._ask(key, Keyframe.from_message, within_s=left, is_long=True)
+            except NoAnswer:
+                break
+            keyframes = {one.id: one for one in answers if one.map_version == wanted.version}
+            if len(keyframes) == wanted.keyframes:
+                return sorted(keyframes.values(), key=lambda one: one.id)
+            received = f"{len(keyframes)} of {wanted.keyframes} keyframes"
+            time.sleep(0.05)
+        raise NoAnswer(f"{key}: {received} received within {self.timeout_s} s")
 
     def localize(
         self,
@@ -159,18 +183,34 @@ class Fleet:
 
     # Queries
 
-    def _ask(self, key: str, build: Callable[[Mapping[str, Any]], T], payload: str | None = None) -> list[T]:
-        """Asks until there is an answer, repeating what no server answered or what found it busy."""
-        deadline = time.monotonic() + self.timeout_s
+    def _ask(
+        self,
+        key: str,
+        build: Callable[[Mapping[str, Any]], T],
+        payload: str | None = None,
+        *,
+        within_s: float | None = None,
+        is_long: bool = False,
+    ) -> list[T]:
+        """Asks until there is an answer, repeating what no server answered or what found it busy.
+
+        Args:
+            within_s: the timeout, where it is not that of the fleet.
+            is_long: whether the answer may take the whole of it; else the question is repeated after 3, 6, 12 s.
+        """
+        within_s = self.timeout_s if within_s is None else within_s
+        deadline = time.monotonic() + within_s
         pause, reason = 0.02, "no map server answered"
+        patience_s = FIRST_PATIENCE_S
         while (left := deadline - time.monotonic()) > 0:
             answers: list[T] = []
+            asked, wait_s = time.monotonic(), left if is_long else min(left, patience_s)
             replies = self._session.get(
-                f"{key}?format=json;client={self._client};patience_ms={int(left * 1000)}",
+                f"{key}?format=json;client={self._client};patience_ms={int(wait_s * 1000)}",
                 payload=payload,
                 encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=left,
+                timeout=wait_s,
             )
             busy = False
             for reply in replies:
@@ -185,9 +225,11 @@ class Fleet:
                 busy, reason = True, "the server was busy throughout"
             if answers and not busy:
                 return answers
+            if time.monotonic() - asked >= wait_s:
+                patience_s *= 2
             time.sleep(max(0.0, min(pause, deadline - time.monotonic())))
             pause = min(2 * pause, 0.5)
-        raise NoAnswer(f"{key}: {reason}, within {self.timeout_s} s")
+        raise NoAnswer(f"{key}: {reason}, within {within_s:.3g} s")
 
 
 def _decode_sample(sample: Any, build: Callable[[Mapping[str, Any]], T]) -> T:

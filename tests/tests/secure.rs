@@ -386,13 +386,25 @@ async fn a_robot_does_not_connect_to_somebody_else_at_the_address() {
     std::fs::write(impostor.join(CONFIG_FILE), config).unwrap();
     let impostor = SessionOptions { secure: Some(impostor), ..SessionOptions::default() };
     for listener in [foreign, impostor] {
-        let session = open_session(&listener).await.unwrap();
+        let session = listening(&listener).await;
         let mut config = member(&place, VICTIM).to_config().unwrap();
         config.insert_json5("connect/timeout_ms", "0").unwrap();
         assert!(zenoh::open(config).await.is_err(), "connected to {listener:?}");
         close_session(&session).await;
     }
     assert_ne!(port, other_port);
+}
+
+/// A session that listens where another one did: the address is free some time after that one was closed.
+async fn listening(options: &SessionOptions) -> zenoh::Session {
+    let begin = Instant::now();
+    loop {
+        match open_session(options).await {
+            Ok(session) => return session,
+            Err(error) => assert!(begin.elapsed() < PATIENCE, "{error}"),
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
 }
 
 fn port(fleet: &Fleet) -> String {

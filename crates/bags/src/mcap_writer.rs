@@ -19,6 +19,8 @@ const TYPE_HASH: &str = "topic_type_hash";
 pub(crate) struct McapWriter {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
+    /// The same file, which the writer does not give out.
+    file: File,
     /// Number of the next message of each topic.
     sequence: BTreeMap<u16, u32>,
 }
@@ -32,10 +34,11 @@ impl std::fmt::Debug for McapWriter {
 impl McapWriter {
     pub(crate) fn create(path: &Path) -> Result<Self, BagError> {
         let file = File::create_new(path).map_err(|source| BagError::io(path, source))?;
+        let of_writer = file.try_clone().map_err(|source| BagError::io(path, source))?;
         let options =
             WriteOptions::new().profile("ros2").chunk_size(Some(CHUNK)).compression(Some(Compression::Lz4));
-        let writer = options.create(BufWriter::new(file)).map_err(|error| failed(path, error))?;
-        Ok(Self { path: path.to_path_buf(), writer, sequence: BTreeMap::new() })
+        let writer = options.create(BufWriter::new(of_writer)).map_err(|error| failed(path, error))?;
+        Ok(Self { path: path.to_path_buf(), writer, file, sequence: BTreeMap::new() })
     }
 
     pub(crate) fn topic(
@@ -72,12 +75,14 @@ impl McapWriter {
     }
 
     pub(crate) fn flush(&mut self) -> Result<(), BagError> {
-        self.writer.flush().map_err(|error| failed(&self.path, error))
+        self.writer.flush().map_err(|error| failed(&self.path, error))?;
+        self.file.sync_data().map_err(|source| BagError::io(&self.path, source))
     }
 
     pub(crate) fn finish(mut self) -> Result<(), BagError> {
         self.writer.finish().map_err(|error| failed(&self.path, error))?;
-        self.writer.into_inner().flush().map_err(|source| BagError::io(&self.path, source))
+        let written = self.writer.into_inner().flush().and_then(|()| self.file.sync_all());
+        written.map_err(|source| BagError::io(&self.path, source))
     }
 }
 

@@ -140,7 +140,7 @@ impl SqliteWriter {
         self.commit("COMMIT; PRAGMA journal_mode = DELETE")?;
         let path = self.folder.join("metadata.yaml");
         let text = format!("rosbag2_bagfile_information:\n{}", self.information("  "));
-        std::fs::write(&path, text).map_err(|source| BagError::io(&path, source))
+        files::write_whole(&path, text.as_bytes()).map_err(|source| BagError::io(&path, source))
     }
 
     /// What is stated about the recording, as YAML.

@@ -68,6 +68,8 @@ pub struct Score {
     pub nees_pose: Option<f64>,
     /// Number of scored instants.
     pub samples: usize,
+    /// How many of them have a covariance that is positive definite: the NEES is that of these.
+    pub nees_samples: usize,
 }
 
 /// The score of a run.
@@ -436,6 +438,7 @@ impl ScoreSum {
             nees_position: mean.map(|nees| nees.position),
             nees_pose: mean.map(|nees| nees.pose),
             samples: self.samples,
+            nees_samples: self.nees.samples(),
         })
     }
 }

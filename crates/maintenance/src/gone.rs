@@ -8,6 +8,7 @@ use mapping::BuildReport;
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
+use crate::drive::Drive;
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
@@ -25,7 +26,7 @@ const MIN_SUPPORT: f64 = 0.2;
 /// # Arguments
 /// * `session`: ids of its keyframes.
 /// * `stamp_ns`: when it ended.
-/// * `drive`: the time of the drive that it is a piece of (ns).
+/// * `drive`: that it is a piece of.
 ///
 /// # Returns
 /// How likely the session saw a landmark that was there.
@@ -34,17 +35,17 @@ pub(crate) fn update_existence(
     sightings: &[Sighting],
     session: &RangeInclusive<KeyframeId>,
     stamp_ns: i64,
-    drive: &RangeInclusive<i64>,
+    drive: &Drive,
     settings: &Settings,
 ) -> DetectionRates {
     let model = ExistenceModel::new(settings.half_life_ns());
-    let assumed = AssumedExistence::of(contents, stamp_ns, settings);
+    let assumed = AssumedExistence::before(contents, session, stamp_ns, settings);
     let stated: BTreeMap<LandmarkId, LandmarkExistence> =
         contents.existence.iter().map(|existence| (existence.landmark, *existence)).collect();
     let before = |sighting: &Sighting| {
         let landmark = &contents.landmarks[sighting.landmark];
         let mut of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
-        let counts = !drive.contains(&of.stamp_ns);
+        let counts = !drive.may_have_counted(of.stamp_ns);
         if counts {
             of.log_odds = model.predicted(of.log_odds, stamp_ns.saturating_sub(of.stamp_ns));
             of.stamp_ns = of.stamp_ns.max(stamp_ns);
@@ -96,6 +97,18 @@ impl AssumedExistence {
     pub(crate) fn of(contents: &MapContents, now_ns: i64, settings: &Settings) -> AssumedExistence {
         let stamps = contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.stamp_ns)).collect();
         AssumedExistence { stamps, log_odds: log_odds(settings.new_existence), now_ns }
+    }
+
+    /// Before a session: what its keyframes show is evidence yet.
+    fn before(
+        contents: &MapContents,
+        session: &RangeInclusive<KeyframeId>,
+        now_ns: i64,
+        settings: &Settings,
+    ) -> AssumedExistence {
+        let mut assumed = AssumedExistence::of(contents, now_ns, settings);
+        assumed.stamps.retain(|keyframe, _| !session.contains(keyframe));
+        assumed
     }
 
     pub(crate) fn of_landmark(&self, landmark: &Landmark) -> LandmarkExistence {

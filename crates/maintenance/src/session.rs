@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use map::{Landmark, MapContents, edit};
 use mapping::{
-    BuildOptions, ExtendError, ExtensionReport, LocatedErrors, MapPoses, Progress, Stage,
+    BuildOptions, ExtendError, ExtensionReport, LocatedErrors, MAX_SIGMA_PX, MapPoses, Progress, Stage,
     check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown, put_back,
     run_odometry,
 };
@@ -14,7 +14,7 @@ use sensors::Sequence;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 use crate::coverage::surplus;
-use crate::drive::drive_of;
+use crate::drive::Drive;
 use crate::gone::{remove_gone, remove_gone_of_added_kinds, update_existence};
 use crate::refusal::Refusal;
 use crate::report::{RemovedKeyframes, SessionReport};
@@ -149,7 +149,7 @@ impl Work<'_, '_> {
         let errors = errors.ok_or(ExtendError::Indefinite)?;
         let added = contents.info.sessions.last();
         let stamp_ns = added.map_or(0, |session| session.end_ns);
-        let drive = added.map_or(0..=0, |session| drive_of(session, &contents.info.sessions));
+        let drive = added.map(|session| Drive::of(session, &contents.info.sessions)).unwrap_or_default();
         let features: BTreeMap<i64, &FeatureSet> = sequence
             .frames
             .iter()
@@ -245,8 +245,12 @@ fn check_consistency(
     check_places(extension, settings)?;
     let sigma_px = extension.sigma_px;
     let map_px = map.info.first_sigma_px();
-    let limit = settings.max_pixel_ratio * map_px;
-    if sigma_px > limit {
+    let mut limit = settings.max_pixel_ratio * map_px;
+    if map_px < MAX_SIGMA_PX {
+        // More is not estimated: the largest may stand for any noise.
+        limit = limit.min(MAX_SIGMA_PX);
+    }
+    if sigma_px >= limit {
         return Err(Refusal::Pixels { sigma_px, map_px, limit });
     }
     let (chi_square, freedom) = (extension.map_chi_square, extension.map_freedom);
@@ -287,12 +291,12 @@ mod tests {
         }
     }
 
-    /// A session of some noise, to a map that began with one of 1 px and states 2.9 px since another one came.
-    fn judged_by_pixels(sigma_px: f64) -> Result<(), Refusal> {
+    /// A session of some noise, to a map that began with one of `first_px` and states 2.9 px since another one came.
+    fn judged_by_pixels(first_px: f64, sigma_px: f64) -> Result<(), Refusal> {
         let mut map =
             Place::new(&PlaceOptions { keyframes: 4, landmarks: 20, ..PlaceOptions::default() }).map;
         map.ensure_sessions("first");
-        map.info.sessions[0].sigma_px = Some(1.0);
+        map.info.sessions[0].sigma_px = Some(first_px);
         map.info.sigma_px = 2.9;
         let mut extension = ExtensionReport::default();
         extension.sigma_px = sigma_px;
@@ -301,9 +305,13 @@ mod tests {
 
     #[test]
     fn a_noisy_session_lets_no_noisier_one_in() {
-        judged_by_pixels(2.9).unwrap();
-        let refusal = judged_by_pixels(3.1).unwrap_err();
+        judged_by_pixels(1.0, 2.9).unwrap();
+        let refusal = judged_by_pixels(1.0, 3.1).unwrap_err();
         assert!(matches!(refusal, Refusal::Pixels { map_px: 1.0, .. }), "{refusal}");
+        // It may be of any noise.
+        judged_by_pixels(2.0, 4.9).unwrap();
+        assert!(judged_by_pixels(2.0, MAX_SIGMA_PX).is_err());
+        judged_by_pixels(MAX_SIGMA_PX, MAX_SIGMA_PX).unwrap();
     }
 
     #[test]

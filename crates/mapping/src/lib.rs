@@ -103,6 +103,7 @@ pub use progress::{Progress, Stage};
 pub use recorded_odometry::{
     OdometryError, OdometryRun, is_sparse, odometry_config, run_configured, run_odometry, run_watched,
 };
+pub use refinement::MAX_SIGMA_PX;
 pub use report::{BuildReport, Spread, UntrackedImages};
 pub use selected_keyframes::{SelectedKeyframes, select_during};
 pub use session::check_new_recording;

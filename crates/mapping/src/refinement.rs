@@ -29,7 +29,9 @@ pub(super) const REPROJECTION_GATE: f64 = 4.0;
 pub(super) const ROUNDS: usize = 3;
 /// Limits of the estimated pixel noise (px). The images of a map agree better with each other than with a robot's: with
 /// the 0.36 px of V1_01, a filter run in that map rejects four of ten correct matches; more than 5 px is no feature.
-const SIGMA_PX_LIMITS: [f64; 2] = [1.0, 5.0];
+const SIGMA_PX_LIMITS: [f64; 2] = [1.0, MAX_SIGMA_PX];
+/// The largest pixel noise that is estimated (px): it stands for any noise that is as large or larger.
+pub const MAX_SIGMA_PX: f64 = 5.0;
 
 /// Number of landmarks from which pixel noise can be estimated: its median is then within 20 %.
 const MIN_LANDMARKS: usize = 50;

@@ -58,7 +58,7 @@ pub struct CalibrationFiles {
 
 impl CalibrationFiles {
     /// The topics that are named.
-    pub(crate) fn topics(&self) -> impl Iterator<Item = &str> {
+    pub fn topics(&self) -> impl Iterator<Item = &str> {
         let single = [&self.imu_topic, &self.accelerometer_topic, &self.wheel_topic, &self.gnss_topic];
         single.into_iter().flatten().chain(&self.camera_topics).map(String::as_str)
     }

@@ -210,6 +210,7 @@ fn write_mounting(bag: &mut RosBagWriter, sensors: &RosSensors, stamp_ns: i64) -
 fn write_images(bag: &mut RosBagWriter, sensors: &RosSensors, frame: &Frame) -> Result<(), ConvertError> {
     let stamp_ns = frame.stamp_ns;
     for (&camera, image) in &frame.images {
+        // Recordings have images of calibrated cameras only.
         let Some(name) = sensors.camera_frame(camera) else { continue };
         let message = image_message(image, stamp_ns, name)?.ok_or(ConvertError::Time { stamp_ns })?;
         if let Some((topic, info)) = sensors.info(camera, stamp_ns) {

@@ -4,7 +4,7 @@ pub use crate::camera_info::{camera_info_message, camera_info_topic, camera_of_i
 pub use crate::ros_gnss::{
     GNSS_TOPIC, NoFix, SatellitePosition, position_message, position_of_message, satellite_position,
 };
-pub use crate::ros_sensors::{RosSensors, SENSOR_FRAMES, transform_message};
+pub use crate::ros_sensors::{RosSensors, transform_message};
 pub use crate::ros_wheels::{
     JointReader, MovesSideways, WHEEL_TOPIC, WheelJoints, base_velocity, wheel_message,
 };

@@ -3,6 +3,7 @@
 use crate::SensorCalibration;
 use crate::euroc::writer::gnss_yaml;
 use crate::ros::{ImageMessage, RosSensors};
+use crate::ros_sensors::CameraTiming;
 use bags::{BagError, BagWriter, Format, MessageType, Metadata, OfferedQos, WrittenTopic};
 use calibration::sensor_yaml::text_of_imu;
 use calibration::wheel_yaml::text_of_wheels;
@@ -24,6 +25,14 @@ pub(crate) const IMU_FRAME_ENTRY: &str = "imu0/frame_id";
 /// Its entry with the rate of a camera, by the topic of its projection.
 pub(crate) fn rate_entry(info_topic: &str) -> String {
     format!("{info_topic} rate_hz")
+}
+/// Its entry with the readout time of a camera with a rolling shutter.
+pub(crate) fn readout_entry(info_topic: &str) -> String {
+    format!("{info_topic} readout_s")
+}
+/// Its entry with how much later than the stamp of the frame a camera's image is.
+pub(crate) fn delay_entry(info_topic: &str) -> String {
+    format!("{info_topic} delay_s")
 }
 
 /// Depth of `/tf`: what `tf2_ros` publishes with.
@@ -75,12 +84,12 @@ impl RosBagWriter {
         }
     }
 
-    /// Writes what no message states of the sensors: the noise of the IMU, wheels and antenna of GNSS, where there are any, the rates of the cameras, and that the
+    /// Writes what no message states of the sensors: the noise of the IMU, wheels and antenna of GNSS, where there are any, the rates, readout times and delays of the cameras, and that the
     /// images are stamped on the IMU's clock. A recording of readings and of images with `CameraInfo` and `/tf_static` needs no other
     /// calibration then.
     ///
     /// # Arguments
-    /// * `calibration`: its cameras are not looked at.
+    /// * `calibration`: its cameras are those of `sensors`.
     ///
     /// # Errors
     /// [`BagError`]: the file cannot be written.
@@ -91,7 +100,14 @@ impl RosBagWriter {
     ) -> Result<(), BagError> {
         let SensorCalibration { imu, wheels, gnss, .. } = calibration;
         let mut entries = BTreeMap::from([(IMU_FRAME_ENTRY.to_owned(), sensors.imu_frame().to_owned())]);
-        entries.extend(sensors.rates_hz().map(|(topic, rate_hz)| (rate_entry(&topic), rate_hz.to_string())));
+        for (topic, CameraTiming { rate_hz, readout_s, delay_s }) in sensors.timing() {
+            entries.insert(rate_entry(&topic), rate_hz.to_string());
+            for (entry, seconds) in [(readout_entry(&topic), readout_s), (delay_entry(&topic), delay_s)] {
+                if seconds != 0.0 {
+                    entries.insert(entry, seconds.to_string());
+                }
+            }
+        }
         if let Some(imu) = imu {
             entries.insert(IMU_ENTRY.to_owned(), text_of_imu(imu));
         }

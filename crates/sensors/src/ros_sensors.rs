@@ -8,8 +8,8 @@ use ros_messages::geometry_msgs::{Quaternion, Transform, TransformStamped};
 use ros_messages::sensor_msgs::CameraInfo;
 use ros_messages::std_msgs::Header;
 
-/// Frames of the IMU and of the cameras that are not named otherwise.
-pub const SENSOR_FRAMES: [&str; 3] = ["imu", "cam0", "cam1"];
+/// Frame of an IMU that is not named otherwise.
+const IMU_FRAME: &str = "imu";
 
 /// Calibrated sensors in messages of ROS: a recording of readings, images, and these messages needs no other calibration but
 /// the noise of the IMU.
@@ -24,22 +24,38 @@ struct RosCamera {
     frame: String,
     info: CameraInfo,
     imu_from_camera: Pose,
-    rate_hz: f64,
+    timing: CameraTiming,
     has_ros_name: bool,
+}
+
+/// When the pixels of a camera are taken, which no message states.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct CameraTiming {
+    /// Images a second.
+    pub(crate) rate_hz: f64,
+    /// As [`CameraSensor::readout_s`].
+    pub(crate) readout_s: f64,
+    /// As [`CameraSensor::delay_s`]: larger shifts are in the stamps of the images.
+    pub(crate) delay_s: f64,
 }
 
 impl RosSensors {
     /// # Arguments
-    /// * `frames`: names of the frames of the IMU and of the cameras; [`SENSOR_FRAMES`] for those that are not named.
+    /// * `frames`: names of the frames of the IMU and of the cameras; `imu`, `cam0`, `cam1`, ... for those that are not named.
     pub fn new(frames: &[String], cameras: &[CameraSensor]) -> Self {
-        let usual = SENSOR_FRAMES.iter().skip(frames.len()).map(|name| (*name).to_owned());
+        let all = std::iter::once(IMU_FRAME.to_owned()).chain((0..).map(|camera| format!("cam{camera}")));
+        let usual = all.skip(frames.len());
         let mut names = frames.iter().cloned().chain(usual);
         let imu_frame = names.next().unwrap_or_default();
         let camera = |(frame, sensor): (String, &CameraSensor)| RosCamera {
             frame,
             info: camera_info_message(&sensor.camera, Header::default()),
             imu_from_camera: sensor.imu_from_camera,
-            rate_hz: sensor.rate_hz,
+            timing: CameraTiming {
+                rate_hz: sensor.rate_hz,
+                readout_s: sensor.readout_s,
+                delay_s: sensor.delay_s(),
+            },
             has_ros_name: has_ros_name(&sensor.camera.distortion),
         };
         Self { imu_frame, cameras: names.zip(cameras).map(camera).collect() }
@@ -73,9 +89,9 @@ impl RosSensors {
         Some((info_topic(camera), CameraInfo { header, ..info.clone() }))
     }
 
-    /// The topics of the projections, and the rates of the cameras, images a second.
-    pub(crate) fn rates_hz(&self) -> impl Iterator<Item = (String, f64)> + '_ {
-        self.cameras.iter().enumerate().map(|(index, camera)| (info_topic(index), camera.rate_hz))
+    /// The topics of the projections, and when the pixels of the cameras are taken.
+    pub(crate) fn timing(&self) -> impl Iterator<Item = (String, CameraTiming)> + '_ {
+        self.cameras.iter().enumerate().map(|(index, camera)| (info_topic(index), camera.timing))
     }
 
     /// The cameras in the frame of the IMU (optical frames: z along the view, x right).
@@ -89,6 +105,12 @@ impl RosSensors {
 
 fn info_topic(camera: usize) -> String {
     camera_info_topic(&format!("/cam{camera}/image_raw"))
+}
+
+/// The camera whose images Driftless records under a name.
+pub(crate) fn camera_of_images(topic: &str) -> Option<usize> {
+    let (camera, of) = topic.strip_prefix("/cam")?.split_once('/')?;
+    of.starts_with("image_raw").then(|| camera.parse().ok())?
 }
 
 /// A frame in another one: `parent_from_child`.

@@ -4,8 +4,8 @@ use geometry::Pose;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use sensors::convert::{ConvertError, Target, convert};
 use sensors::{
-    BaseKind, CalibrationFiles, Frame, GnssReading, GnssSensor, ImageData, Recording, SensorEvent,
-    SensorSource, Sequence, WheelBase, WheelReading, WheelSensor, writer,
+    BaseKind, CalibrationFiles, CameraSensor, Frame, GnssReading, GnssSensor, ImageData, Recording,
+    SensorEvent, SensorSource, Sequence, WheelBase, WheelReading, WheelSensor, writer,
 };
 use std::path::{Path, PathBuf};
 
@@ -21,8 +21,10 @@ fn calibrated(folder: &Path) -> CalibrationFiles {
 
 fn assert_same(found: &Recording<'_>, expected: &Recording<'_>, name: &str) {
     assert_eq!(found.calibration().imu, expected.calibration().imu, "{name}");
+    assert_eq!(found.calibration().cameras.len(), expected.calibration().cameras.len(), "{name}");
     for (found, expected) in found.calibration().cameras.iter().zip(&expected.calibration().cameras) {
-        assert_eq!((&found.camera, found.rate_hz), (&expected.camera, expected.rate_hz), "{name}");
+        let timing = |sensor: &CameraSensor| [sensor.rate_hz, sensor.readout_s, sensor.time_shift_s];
+        assert_eq!((&found.camera, timing(found)), (&expected.camera, timing(expected)), "{name}");
         assert!(found.imu_from_camera.local(&expected.imu_from_camera).norm() < 1e-12, "{name}");
     }
     let events = |recording: &Recording<'_>| {
@@ -70,6 +72,34 @@ fn readings_images_and_calibration_survive_every_way() {
         let out = at(&format!("{bag}_folder"));
         convert(&at(bag), &none, &out, Target::Euroc, |_| {}).unwrap();
         assert_same(&Recording::open(&out).unwrap(), &expected, bag);
+    }
+}
+
+/// Of four cameras with rolling shutters, the second of which is a little late.
+#[test]
+fn cameras_of_a_rig_survive_with_their_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let rig = at("rig");
+    testing::copy_folder(&data("euroc"), &rig);
+    for (index, from, shift_s) in [(2, 0, 0.0), (3, 1, 0.001)] {
+        let camera = |index: usize| rig.join(format!("mav0/cam{index}"));
+        testing::copy_folder(&camera(from), &camera(index));
+        let yaml = camera(index).join("sensor.yaml");
+        let text = std::fs::read_to_string(&yaml).unwrap();
+        std::fs::write(&yaml, format!("{text}\nline_delay: 2.5e-05\ntimeshift_cam_imu: {shift_s}\n"))
+            .unwrap();
+    }
+    let expected = Recording::open(&rig).unwrap();
+    let cameras = &expected.calibration().cameras;
+    assert!(cameras.len() == 4 && cameras[3].readout_s > 0.0 && cameras[3].delay_s() > 0.0, "{cameras:?}");
+    let none = CalibrationFiles::default();
+    for (name, target) in [("a.mcap", Target::Mcap), ("a_rosbag2", Target::Rosbag2)] {
+        convert(&rig, &none, &at(name), target, |_| {}).unwrap();
+        assert_same(&Recording::open(&at(name)).unwrap(), &expected, name);
+        let back = at(&format!("{name}_folder"));
+        convert(&at(name), &none, &back, Target::Euroc, |_| {}).unwrap();
+        assert_same(&Recording::open(&back).unwrap(), &expected, name);
     }
 }
 

@@ -1,7 +1,7 @@
 //! The bridge: robots on Zenoh, vehicles at an MQTT broker.
 
 use crate::broker::{BrokerAddress, BrokerUser};
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, MAX_ROBOTS};
 use crate::mqtt::{BrokerWatch, VehicleConnection};
 use crate::names::{INTERFACE, NameError, Topics, check_level, check_serial};
 use crate::session::Endpoint;
@@ -135,6 +135,11 @@ pub enum BridgeEvent {
     },
     /// A robot whose name cannot be a serial number: it is not published.
     Refused(NameError),
+    /// More robots were heard of than are bridged: those that came later are not published. Told once.
+    TooManyRobots {
+        /// How many are bridged.
+        limit: usize,
+    },
     /// The broker answers.
     BrokerReached,
     /// The broker does not answer, or refuses; it is tried again until it does.
@@ -162,18 +167,22 @@ pub async fn run(
 ) -> Result<(), BridgeError> {
     settings.check()?;
     let endpoint = settings.endpoint()?;
-    let fleet = Arc::new(Fleet::new(settings.vehicle.clone()));
+    let chosen = settings.serials.keys().cloned().collect();
+    let fleet = Arc::new(Fleet::new(settings.vehicle.clone(), chosen));
     let _following = fleet.follow(session).await?;
     let settings = Arc::new(settings);
     let watch = Arc::new(BrokerWatch::new(tell));
     let (stopping, stopped) = watch::channel(false);
-    let (mut tasks, mut known) = (JoinSet::new(), BTreeSet::new());
+    let (mut tasks, mut known, mut is_full) = (JoinSet::new(), BTreeSet::new(), false);
     let mut looks = tokio::time::interval(LOOK);
     tokio::pin!(stop);
     loop {
         tokio::select! {
             () = &mut stop => break,
             _ = looks.tick() => {}
+        }
+        if fleet.is_full() && !std::mem::replace(&mut is_full, true) {
+            watch.tell(BridgeEvent::TooManyRobots { limit: MAX_ROBOTS });
         }
         for (robot, vehicle) in fleet.vehicles() {
             let Some(serial) = settings.serial_of(&robot).filter(|_| known.insert(robot.clone())) else {

@@ -3,15 +3,16 @@
 use crate::bridge::BridgeError;
 use crate::vehicle::{Vehicle, VehicleSettings};
 use protocol::{Published, keys};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 use zenoh::Session;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 
-/// Robots that are followed; messages of others are ignored.
-const MAX_ROBOTS: usize = 1000;
+/// Robots that are followed; those that come later are ignored.
+pub(crate) const MAX_ROBOTS: usize = 1000;
 
 /// A vehicle that several tasks look at.
 pub(crate) type SharedVehicle = Arc<Mutex<Vehicle>>;
@@ -24,7 +25,10 @@ pub(crate) fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 /// The robots, by name.
 pub(crate) struct Fleet {
     settings: VehicleSettings,
+    /// The robots that are followed; empty for all.
+    chosen: BTreeSet<String>,
     vehicles: Mutex<BTreeMap<String, SharedVehicle>>,
+    is_full: AtomicBool,
 }
 
 /// Follows robots until it is dropped.
@@ -33,8 +37,15 @@ pub(crate) struct Following {
 }
 
 impl Fleet {
-    pub(crate) fn new(settings: VehicleSettings) -> Self {
-        Self { settings, vehicles: Mutex::default() }
+    /// # Arguments
+    /// * `chosen`: names of the robots that are followed; empty for all.
+    pub(crate) fn new(settings: VehicleSettings, chosen: BTreeSet<String>) -> Self {
+        Self { settings, chosen, vehicles: Mutex::default(), is_full: AtomicBool::new(false) }
+    }
+
+    /// Whether there were more robots than [`MAX_ROBOTS`].
+    pub(crate) fn is_full(&self) -> bool {
+        self.is_full.load(Ordering::Relaxed)
     }
 
     /// The robots that were heard of.
@@ -61,9 +72,12 @@ impl Fleet {
 
     fn with_vehicle(&self, sample: &Sample, change: impl FnOnce(&mut Vehicle, Instant)) {
         let Some(robot) = keys::robot_of(sample.key_expr().as_str()) else { return };
+        if !self.chosen.is_empty() && !self.chosen.contains(robot) {
+            return;
+        }
         let mut vehicles = lock(&self.vehicles);
         if vehicles.len() >= MAX_ROBOTS && !vehicles.contains_key(robot) {
-            return;
+            return self.is_full.store(true, Ordering::Relaxed);
         }
         let now = Instant::now();
         let new = || Arc::new(Mutex::new(Vehicle::new(self.settings.clone(), now)));

@@ -211,7 +211,7 @@ struct Running {
 
 impl Running {
     async fn run(mut self) {
-        self.keep().await;
+        self.keep(&self.release).await;
         let mut watch = tokio::time::interval(self.options.watch);
         watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
         watch.reset();
@@ -228,9 +228,8 @@ impl Running {
         }
     }
 
-    /// Notes which release is served now.
-    async fn keep(&self) {
-        let release = &self.release;
+    /// Notes which release is served from now on.
+    async fn keep(&self, release: &Release) {
         self.source.keep(release);
         let served = MapVersion {
             identity: release.identity(),
@@ -361,6 +360,7 @@ impl Running {
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;
         let change = change.unwrap_or_default();
+        self.keep(&release).await;
         let new_cells = self.map.change_over(directory, cells, token);
         tracing::info!(
             name = self.name,
@@ -384,10 +384,9 @@ impl Running {
             keyframe_motions: change.keyframe_motions,
         };
         self.release = release;
-        // The new version answers already: what waits for a disk or the network comes after the notice.
+        // The new version answers already: what waits for the network comes after the notice.
         let published = change::publish(&self.session, notice).await;
         let added = self.map.add(new_cells).await;
-        self.keep().await;
         if let Err(error) = published.and(added) {
             let reason = format!("{:#}", anyhow::Error::from(error));
             tracing::warn!(

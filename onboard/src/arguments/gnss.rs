@@ -75,9 +75,9 @@ impl GnssArguments {
         Ok(GnssSensor { origin: self.origin()?.or(sensor.origin), ..sensor })
     }
 
-    /// Whether a robot is told where its antenna is, by the switches or by its calibration.
-    pub fn is_expected(&self, calibrated: Option<&GnssSensor>) -> bool {
-        !self.no_gnss && (calibrated.is_some() || !self.gnss_antenna.is_empty())
+    /// Whether a robot is told where its antenna is: by the switches, by its calibration or by the estimator's settings, which have it.
+    pub fn is_expected(&self, settled: Option<&GnssConfig>) -> bool {
+        !self.no_gnss && (settled.is_some() || !self.gnss_antenna.is_empty())
     }
 
     /// The antenna that is used: that of the switches, else that of the settings; none for a source without positions, and where it is

@@ -232,6 +232,24 @@ impl RobotArguments {
         }
     }
 
+    /// Settings of the calibration, overridden by the settings file.
+    fn settled(&self, of_sensor: EstimatorConfig) -> Result<EstimatorConfig, SettingsError> {
+        match &self.estimator_config {
+            Some(path) => read_settings(path, &of_sensor),
+            None => Ok(of_sensor),
+        }
+    }
+
+    /// Whether a live robot has wheels, and GNSS, whose readings can be used.
+    ///
+    /// # Errors
+    /// [`SettingsError`]: the settings file cannot be used.
+    pub fn expected(&self, calibration: &SensorCalibration) -> Result<(bool, bool), SettingsError> {
+        let settled = estimator_config(calibration).map(|of_sensor| self.settled(of_sensor)).transpose()?;
+        let (wheels, gnss) = settled.map_or((None, None), |settled| (settled.wheels, settled.gnss));
+        Ok((self.wheels.is_expected(wheels.as_ref()), self.gnss.is_expected(gnss.as_ref())))
+    }
+
     /// The estimator's settings: defaults, overridden by the IMU's calibration, then by the settings file, then by the
     /// switches.
     ///
@@ -251,10 +269,7 @@ impl RobotArguments {
                  info REC` lists its topics)"
             )
         };
-        let mut config = match &self.estimator_config {
-            Some(path) => read_settings(path, &of_sensor)?,
-            None => of_sensor,
-        };
+        let mut config = self.settled(of_sensor)?;
         if let Some(scale) = self.imu_noise_scale {
             if !(scale.is_finite() && scale > 0.0) {
                 bail!("--imu-noise-scale is {scale}; it must be a positive number");

@@ -36,8 +36,9 @@ pub struct RosArguments {
     /// Names of the frames of map, odometry and robot, for --ros2 and --record
     #[arg(long, value_name = "MAP,ODOM,BASE", default_value = "map,odom,base_link", help_heading = ROS)]
     pub frames: RosFrames,
-    /// Names of the frames of IMU and cameras, whose mounting is published on /tf_static; none: a robot description has it
-    #[arg(long, value_name = "IMU,CAM0,CAM1", default_value = "imu,cam0,cam1", help_heading = ROS)]
+    /// Names of the frames of IMU and cameras, whose mounting is published on /tf_static; ... in the end: and all further cameras as
+    /// camN; none: a robot description has it
+    #[arg(long, value_name = "IMU,CAM0,CAM1,...", default_value = "imu,cam0,cam1,...", help_heading = ROS)]
     pub sensor_frames: SensorFrames,
 }
 

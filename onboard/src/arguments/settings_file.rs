@@ -179,12 +179,28 @@ fn as_switch(path: &Path, arg: &Arg, key: &str, value: Value) -> Result<Vec<OsSt
     }
     let folder = path.parent().unwrap_or(Path::new(""));
     let switch = |value: String| {
-        let value = if is_path(arg) { folder.join(value).into_os_string() } else { value.into() };
+        let value =
+            if is_path(arg) { beside(folder, &value, arg.get_value_delimiter()) } else { value.into() };
         let mut switch = OsString::from(format!("--{key}="));
         switch.push(value);
         switch
     };
     Ok(values.into_iter().map(switch).collect())
+}
+
+/// Paths that are relative to a folder; one that is left out stays empty.
+///
+/// # Arguments
+/// * `delimiter`: between paths of one text, where there may be several.
+fn beside(folder: &Path, text: &str, delimiter: Option<char>) -> OsString {
+    let paths: Vec<&str> = match delimiter {
+        Some(delimiter) => text.split(delimiter).collect(),
+        None => vec![text],
+    };
+    let beside =
+        |path: &str| if path.is_empty() { OsString::new() } else { folder.join(path).into_os_string() };
+    let paths: Vec<OsString> = paths.into_iter().map(beside).collect();
+    paths.join(OsStr::new(&delimiter.map(String::from).unwrap_or_default()))
 }
 
 fn is_path(arg: &Arg) -> bool {

@@ -83,9 +83,13 @@ impl WheelArguments {
                 (self.of_base_velocities(settled)?, lacks)
             }
             None => {
+                let is_asked_for = self.wheel_base.is_some()
+                    || !(self.wheel_radius.is_empty()
+                        && self.wheel_counts.is_empty()
+                        && self.base_in_imu.is_empty());
                 ensure!(
-                    self.wheel_radius.is_empty(),
-                    "--wheel-radius: there are no readings of wheels; a folder has them in mav0/wheels0/data.csv, a bag or ROS 2 in \
+                    !is_asked_for,
+                    "--wheel-radius, --wheel-base, --wheel-counts, --base-in-imu: there are no readings of wheels; a folder has them in mav0/wheels0/data.csv, a bag or ROS 2 in \
                      the topic that --wheel-topic names"
                 );
                 return Ok(None);
@@ -130,9 +134,9 @@ impl WheelArguments {
         Ok(())
     }
 
-    /// Whether a robot is told what its wheels are, by the switches or by its calibration.
-    pub fn is_expected(&self, calibrated: Option<&WheelSensor>) -> bool {
-        !self.no_wheels && (calibrated.is_some() || !self.wheel_radius.is_empty())
+    /// Whether a robot is told what its wheels are: by the switches, by its calibration or by the estimator's settings, which have it.
+    pub fn is_expected(&self, settled: Option<&WheelConfig>) -> bool {
+        !self.no_wheels && (settled.is_some() || !self.wheel_radius.is_empty())
     }
 
     /// The encoders that the switches state.

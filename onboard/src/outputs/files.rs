@@ -75,6 +75,8 @@ pub(crate) struct OutputFiles {
     limit: Option<u64>,
     writers: Writers,
     flushed_ns: Option<i64>,
+    /// Whether the first states of the run are among the earlier files, or gone.
+    is_cut: bool,
 }
 
 #[derive(Debug)]
@@ -103,7 +105,7 @@ impl OutputFiles {
             std::fs::remove_file(&summary).map_err(|source| io(&summary, source))?;
         }
         let writers = Writers::create(folder)?;
-        Ok(Self { folder: folder.to_path_buf(), limit, writers, flushed_ns: None })
+        Ok(Self { folder: folder.to_path_buf(), limit, writers, flushed_ns: None, is_cut: false })
     }
 
     /// Appends the state of a frame.
@@ -151,8 +153,14 @@ impl OutputFiles {
         if self.limit.is_some_and(is_full) {
             keep_earlier(&self.folder)?;
             self.writers = Writers::create(&self.folder)?;
+            self.is_cut = true;
         }
         Ok(())
+    }
+
+    /// Whether the first states of the run are in other files than the last ones, or gone.
+    pub(crate) fn is_cut(&self) -> bool {
+        self.is_cut
     }
 
     /// Writes the summary.
@@ -162,7 +170,7 @@ impl OutputFiles {
     pub(crate) fn write_summary(&self, summary: &Summary) -> Result<(), OutputError> {
         let path = self.folder.join(SUMMARY);
         let text = serde_json::to_string_pretty(summary)?;
-        std::fs::write(&path, text + "\n").map_err(|source| io(&path, source))
+        files::write_whole(&path, (text + "\n").as_bytes()).map_err(|source| io(&path, source))
     }
 }
 
@@ -254,6 +262,7 @@ mod tests {
             files.append_state(&row(at)).unwrap();
         }
         files.flush().unwrap();
+        assert!(files.is_cut());
         // What comes within a second is beyond.
         assert!(
             (limit / 3..limit + 20_000).contains(&all_bytes(folder.path())),

@@ -11,6 +11,7 @@ use prometheus_client::registry::{Registry, Unit};
 use robot::counts::QuerySummary;
 use robot::{Estimate, Output, RunReport, StatusReport};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Label of a localization state.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -25,6 +26,9 @@ const STATES: [(Localization, &str); 4] = [
     (Localization::Lost, "lost"),
     (Localization::Starting, "starting"),
 ];
+
+/// A status comes with each image, and every 200 ms without any: an older one says that the estimator waits for something.
+const STALE: Duration = Duration::from_secs(5);
 
 /// What a run counts while it goes on. Clones share the counters.
 ///
@@ -46,7 +50,8 @@ pub struct RobotMetrics {
     answers_accepted: Counter,
     localization: Family<StateLabel, Gauge>,
     held_keyframes: Gauge,
-    health: Arc<Mutex<Health>>,
+    /// That of the last status, and when it came.
+    health: Arc<Mutex<(Health, Option<Instant>)>>,
 }
 
 impl Default for RobotMetrics {
@@ -60,7 +65,7 @@ impl Default for RobotMetrics {
             answers_accepted: Counter::default(),
             localization: Family::default(),
             held_keyframes: Gauge::default(),
-            health: Arc::new(Mutex::new(Health::unwell("no image yet"))),
+            health: Arc::new(Mutex::new((Health::unwell("no image yet"), None))),
         }
     }
 }
@@ -93,7 +98,19 @@ impl RobotMetrics {
 
     /// Whether the robot has a pose that can be trusted: in the map, or by odometry before the first match.
     pub fn health(&self) -> Health {
-        self.health.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.health_at(Instant::now())
+    }
+
+    fn health_at(&self, now: Instant) -> Health {
+        let (health, noted) = self.health.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        match noted {
+            Some(noted) if now.duration_since(noted) > STALE => Health::unwell(format!(
+                "the estimator has not said anything for more than {} s; before: {}",
+                STALE.as_secs(),
+                health.reason
+            )),
+            _ => health,
+        }
     }
 
     /// Takes the status and the number of queries of now.
@@ -107,8 +124,8 @@ impl RobotMetrics {
         raise(&self.queries_answered, queries.answered);
         raise(&self.answers_accepted, queries.accepted);
         let is_well = status.localization.is_usable();
-        *self.health.lock().unwrap_or_else(PoisonError::into_inner) =
-            Health { is_well, reason: status.reason.clone() };
+        let health = Health { is_well, reason: status.reason.clone() };
+        *self.health.lock().unwrap_or_else(PoisonError::into_inner) = (health, Some(Instant::now()));
     }
 }
 
@@ -132,4 +149,21 @@ impl Output for RobotMetrics {
 /// Raises a counter to a total that was counted elsewhere.
 fn raise(counter: &Counter, total: u64) {
     counter.inc_by(total.saturating_sub(counter.get()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_old_status_is_no_sign_of_health() {
+        let metrics = RobotMetrics::default();
+        let (localization, reason) = (Localization::Localized, "fine".to_owned());
+        let status = Status { localization, reason, last_map_update_ns: None, held_keyframes: 0 };
+        metrics.note_status(&status, &QuerySummary::default());
+        let now = Instant::now();
+        assert!(metrics.health_at(now).is_well);
+        let later = metrics.health_at(now + STALE + Duration::from_secs(1));
+        assert!(!later.is_well && later.reason.contains("5 s"), "{later:?}");
+    }
 }

@@ -43,6 +43,11 @@ impl Recorder {
         }
     }
 
+    /// Whether the files have the last part of the run only, for the limit of the folder.
+    pub fn is_cut(&self) -> bool {
+        self.files.is_cut()
+    }
+
     /// Writes the last state and flushes the files.
     ///
     /// # Errors

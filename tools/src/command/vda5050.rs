@@ -173,6 +173,9 @@ pub fn run(args: &Args) -> Result<()> {
     let tell = move |event: BridgeEvent| match event {
         BridgeEvent::Vehicle { robot, topic } => println!("{robot}: {topic}"),
         BridgeEvent::Refused(error) => eprintln!("a robot is not published: {error}"),
+        BridgeEvent::TooManyRobots { limit } => eprintln!(
+            "there are names of more than {limit} robots: those that came later are not published. Name the robots (--robot)"
+        ),
         BridgeEvent::BrokerReached => println!("{broker} is reached"),
         BridgeEvent::BrokerFailed { error } => {
             eprintln!("{broker} cannot be reached: {error}; it is tried again until it answers");

@@ -4,9 +4,9 @@
 //! `ImuParams.yaml`.
 
 use super::{CameraChain, read_text};
-use crate::CalibrationError;
 use crate::sensor_yaml::read_camera;
 use crate::yaml::{checked_time_shift, parse};
+use crate::{CalibrationError, relative_time_shifts};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -91,9 +91,16 @@ pub(super) fn read_kimera_cameras(path: &Path, count: usize) -> Result<CameraCha
     if count > 1 {
         paths.push(right_of(path)?);
     }
-    let read = |path: &PathBuf| read_camera(path).map(|sensor| (sensor.camera, sensor.imu_from_camera));
-    let cameras = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    Ok(CameraChain::with_one_shift(cameras, time_offset_ns(&path.with_file_name(KIMERA_IMU))?))
+    let mut sensors = paths.iter().map(|path| read_camera(path)).collect::<Result<Vec<_>, _>>()?;
+    // A sensor.yaml of EuRoC's layout is read, too, which states the shift by itself.
+    let stated_ns = relative_time_shifts(&mut sensors);
+    let time_offset_ns = time_offset_ns(&path.with_file_name(KIMERA_IMU))?.unwrap_or(stated_ns);
+    Ok(CameraChain {
+        readouts_s: sensors.iter().map(|sensor| sensor.readout_s).collect(),
+        time_shifts_s: sensors.iter().map(|sensor| sensor.time_shift_s).collect(),
+        cameras: sensors.into_iter().map(|sensor| (sensor.camera, sensor.imu_from_camera)).collect(),
+        time_offset_ns,
+    })
 }
 
 /// The file of the right camera.
@@ -112,10 +119,10 @@ fn right_of(path: &Path) -> Result<PathBuf, CalibrationError> {
 }
 
 /// Kimera's `t_imu = t_cam + imu_time_shift`, where its file of the IMU is there.
-fn time_offset_ns(path: &Path) -> Result<i64, CalibrationError> {
+fn time_offset_ns(path: &Path) -> Result<Option<i64>, CalibrationError> {
     if !path.is_file() {
-        return Ok(0);
+        return Ok(None);
     }
     let ShiftYaml { imu_time_shift: shift } = parse(path, KIMERA_IMU, &read_text(path)?)?;
-    Ok((checked_time_shift(path, "imu_time_shift", shift)? * 1e9).round() as i64)
+    Ok(Some((checked_time_shift(path, "imu_time_shift", shift)? * 1e9).round() as i64))
 }

@@ -4,13 +4,14 @@ mod coverage;
 mod halls;
 mod parts;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use map::MapContents;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 use testing::{Place, PlaceOptions, add_second_kind};
 
+use crate::drive::Drive;
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
 use crate::gone::{FALSE_SIGHTING, remove_gone, remove_gone_of_added_kinds, update_existence};
 use crate::rates::{DetectionRates, Shown};
@@ -182,7 +183,7 @@ fn what_sessions_miss_is_taken_out_and_what_they_see_stays() {
         };
         let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
         let end_ns = FIRST_NS + session * 4 * DAY_NS;
-        let rates = update_existence(&mut map, &sightings, &(0..=0), end_ns, &(end_ns..=end_ns), &settings);
+        let rates = update_existence(&mut map, &sightings, &(0..=0), end_ns, &Drive::default(), &settings);
         assert!(rates.of(3) >= 0.7, "{rates:?}");
         removed += remove_gone(&mut map, &settings).landmarks.len();
         map.sort();
@@ -205,34 +206,35 @@ const PIECE_NS: i64 = 600_000_000_000;
 /// Updates the existence of all landmarks by a session that passed them three times.
 ///
 /// # Arguments
-/// * `begin_ns`: of the drive.
+/// * `drive`: and when the session ended (ns).
 fn pass(
     map: &mut MapContents,
-    [begin_ns, end_ns]: [i64; 2],
+    (drive, end_ns): &(Drive, i64),
     is_seen: impl Fn(u64) -> bool,
     settings: &Settings,
 ) {
     let sighting =
         |(landmark, of): (usize, &map::Landmark)| Sighting { landmark, exposures: 3, seen: is_seen(of.id) };
     let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
-    update_existence(map, &sightings, &(0..=0), end_ns, &(begin_ns..=end_ns), settings);
+    update_existence(map, &sightings, &(0..=0), *end_ns, drive, settings);
 }
 
 #[test]
 fn pieces_of_one_drive_count_as_one_session() {
     let settings = Settings::default();
     let missed: BTreeSet<u64> = place().landmarks.iter().map(|landmark| landmark.id).step_by(4).collect();
-    let missed_by = |drives_ns: &[[i64; 2]]| {
+    let missed_by = |sessions: &[(Drive, i64)]| {
         let mut map = place();
-        for drive_ns in drives_ns {
-            pass(&mut map, *drive_ns, |id| !missed.contains(&id), &settings);
+        for session in sessions {
+            pass(&mut map, session, |id| !missed.contains(&id), &settings);
         }
         let existence = map.existence.clone();
         (existence, remove_gone(&mut map, &settings).landmarks.len())
     };
     let first_ns = FIRST_NS + 4 * DAY_NS;
-    let (of_one, _) = missed_by(&[[first_ns; 2]]);
-    let pieces: Vec<[i64; 2]> = (0..48).map(|piece| [first_ns, first_ns + piece * PIECE_NS]).collect();
+    let piece = |piece: i64| (Drive::new(first_ns, piece > 0), first_ns + piece * PIECE_NS);
+    let (of_one, _) = missed_by(&[piece(0)]);
+    let pieces: Vec<(Drive, i64)> = (0..48).map(piece).collect();
     let (of_pieces, gone) = missed_by(&pieces);
     assert_eq!(gone, 0);
     for (one, pieces) in of_one.iter().zip(&of_pieces) {
@@ -242,8 +244,43 @@ fn pieces_of_one_drive_count_as_one_session() {
         assert_eq!(pieces.seen_ns, seen_ns);
     }
     // As many drives take all of them out.
-    let drives: Vec<[i64; 2]> = (0..48).map(|drive| [first_ns + drive * PIECE_NS; 2]).collect();
+    let drive = |drive: i64| (Drive::new(first_ns + drive * PIECE_NS, false), first_ns + drive * PIECE_NS);
+    let drives: Vec<(Drive, i64)> = (0..48).map(drive).collect();
     assert_eq!(missed_by(&drives).1, missed.len());
+    // A drive that is handed in after those of later days counts once, too.
+    let late = |piece: i64| (Drive::new(FIRST_NS - DAY_NS, piece > 0), FIRST_NS - DAY_NS + piece * PIECE_NS);
+    let (of_late, gone) = missed_by(&(0..48).map(late).collect::<Vec<_>>());
+    assert_eq!((gone, of_late.len()), (0, of_one.len()));
+}
+
+/// What a session shows of a landmark of which nothing is stated yet is evidence for it, as what it misses is evidence against others.
+#[test]
+fn the_first_session_counts_what_it_sees() {
+    let settings = Settings::default();
+    let mut map = place();
+    map.existence.clear();
+    let session = map.keyframes[0].id;
+    let stamp_ns = FIRST_NS + 4 * DAY_NS;
+    map.keyframes[0].stamp_ns = stamp_ns;
+    let sighting = |(landmark, of): (usize, &map::Landmark)| Sighting {
+        landmark,
+        exposures: 3,
+        seen: of.observations.iter().any(|seen| seen.keyframe == session),
+    };
+    let sightings: Vec<Sighting> = map.landmarks.iter().enumerate().map(sighting).collect();
+    let drive = Drive::new(stamp_ns - PIECE_NS, true);
+    update_existence(&mut map, &sightings, &(session..=session), stamp_ns, &drive, &settings);
+    let odds: BTreeMap<u64, f64> = map.existence.iter().map(|of| (of.landmark, of.log_odds)).collect();
+    let of_new = log_odds(settings.new_existence);
+    for sighting in &sightings {
+        let landmark = &map.landmarks[sighting.landmark];
+        if landmark.observations.iter().any(|seen| seen.keyframe != session) {
+            assert_eq!(odds[&landmark.id] > of_new, sighting.seen, "{}", landmark.id);
+        }
+    }
+    assert!(
+        sightings.iter().any(|sighting| sighting.seen) && sightings.iter().any(|sighting| !sighting.seen)
+    );
 }
 
 /// The law of an unchanged place, where all pieces of a drive see and miss the same.
@@ -264,8 +301,8 @@ fn drives_in_pieces_take_out_no_more_of_an_unchanged_place_than_is_stated() {
             let seen: BTreeSet<u64> = seen.into_iter().filter(|_| rng.random_bool(detection)).collect();
             for piece in 0..6 {
                 let begin_ns = FIRST_NS + drive * every_ns;
-                let drive_ns = [begin_ns, begin_ns + piece * PIECE_NS];
-                pass(&mut map, drive_ns, |id| seen.contains(&id), &settings);
+                let session = (Drive::new(begin_ns, piece > 0), begin_ns + piece * PIECE_NS);
+                pass(&mut map, &session, |id| seen.contains(&id), &settings);
                 lost += remove_gone(&mut map, &settings).landmarks.len();
             }
         }

@@ -4,6 +4,7 @@ use super::gnss_topic::GnssTopic;
 use super::recorded_calibration::{self as recorded, NotRecorded};
 use super::topics::BagSensors;
 use super::wheel_topic::WheelTopic;
+use crate::ros_sensors::CameraTiming;
 use crate::{
     CalibrationFiles, CameraSensor, GnssSensor, ImuSensor, SensorCalibration, SequenceError, WheelSensor,
 };
@@ -141,10 +142,13 @@ fn recorded_cameras(bag: &Bag, root: &Path, sensors: &BagSensors) -> Result<Came
         Ok(cameras) => {
             let path = bag.path().display();
             tracing::info!("{path}: the cameras are calibrated by the recorded CameraInfo and /tf_static");
-            let sensor =
-                |((camera, imu_from_camera), rate_hz)| CameraSensor::new(camera, imu_from_camera, rate_hz);
-            Ok(match recorded::rates_hz(bag, sensors) {
-                Some(rates_hz) => Cameras::Complete(cameras.into_iter().zip(rates_hz).map(sensor).collect()),
+            let sensor = |((camera, imu_from_camera), timing): (_, CameraTiming)| CameraSensor {
+                readout_s: timing.readout_s,
+                time_shift_s: timing.delay_s,
+                ..CameraSensor::new(camera, imu_from_camera, timing.rate_hz)
+            };
+            Ok(match recorded::timing(bag, sensors) {
+                Some(timing) => Cameras::Complete(cameras.into_iter().zip(timing).map(sensor).collect()),
                 None => Cameras::WithoutRates(cameras),
             })
         }

@@ -1,7 +1,9 @@
 //! Which topics of a bag are the cameras, and which camera of a calibration each of them is.
 
 use super::messages::{self, RecordedImage};
+use super::recorded_calibration;
 use super::topics::{IMAGES, listed, named, of_types, wrong};
+use crate::ros_sensors::camera_of_images;
 use crate::{CalibrationFiles, SequenceError};
 use bags::Bag;
 use calibration::kalibr::{COMPRESSED, is_same_camera};
@@ -21,8 +23,8 @@ pub(super) struct FoundCameras {
     pub(super) notes: Vec<String>,
 }
 
-/// Finds the cameras: the topics that are named, else those that the calibration names, else one or two in order of their
-/// names, since the others of a device may see depths or colours.
+/// Finds the cameras: the topics that are named, else those that the calibration names, else all that Driftless recorded, else one or two in
+/// order of their names, since the others of a device may see depths or colours.
 ///
 /// # Arguments
 /// * `calibrated`: the topic of each camera of the calibration, where that states it (Kalibr's `rostopic`).
@@ -73,6 +75,14 @@ fn choose(bag: &Bag, calibrated: &[Option<String>]) -> Result<FoundCameras, Sequ
             format!("{} is not used: it is no camera of the calibration (rostopic)", topics[topic].name)
         }));
         return Ok(FoundCameras { topics: bound, notes });
+    }
+    if recorded_calibration::is_own(bag) {
+        let number = |topic: &usize| camera_of_images(&topics[*topic].name);
+        let mut own: Vec<usize> = found.iter().copied().filter(|topic| number(topic).is_some()).collect();
+        own.sort_by_key(number);
+        if !own.is_empty() {
+            return Ok(FoundCameras { topics: own, notes });
+        }
     }
     match found.len() {
         1 | 2 => Ok(FoundCameras { topics: found, notes }),

@@ -5,7 +5,10 @@ use super::BagCamera;
 use super::messages;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
-use crate::ros_bag::{GNSS_ENTRY, IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, WHEELS_ENTRY, rate_entry};
+use crate::ros_bag::{
+    GNSS_ENTRY, IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, WHEELS_ENTRY, delay_entry, rate_entry, readout_entry,
+};
+use crate::ros_sensors::CameraTiming;
 use crate::static_transforms::StaticTransforms;
 use crate::{GnssSensor, ImuSensor, SequenceError, WheelSensor};
 use bags::{Bag, Metadata};
@@ -106,14 +109,18 @@ fn entry<'a>(bag: &'a Bag, name: &str) -> Option<(PathBuf, &'a String)> {
     Some((format!("{}, {name}", bag.path().display()).into(), text))
 }
 
-/// The stated rates of all cameras, of a recording of Driftless.
-pub(super) fn rates_hz(bag: &Bag, sensors: &BagSensors) -> Option<Vec<f64>> {
+/// The stated rates, readout times and delays of all cameras, of a recording of Driftless.
+pub(super) fn timing(bag: &Bag, sensors: &BagSensors) -> Option<Vec<CameraTiming>> {
     let entries = &own(bag)?.entries;
-    let rate = |camera: &BagCamera| {
-        let text = entries.get(&rate_entry(&bag.topics()[camera.info?].name))?;
-        text.parse().ok().filter(|rate_hz: &f64| rate_hz.is_finite() && *rate_hz > 0.0)
+    let number = |entry: &String| entries.get(entry)?.parse().ok().filter(|number: &f64| number.is_finite());
+    let of = |camera: &BagCamera| {
+        let topic = &bag.topics()[camera.info?].name;
+        let rate_hz = number(&rate_entry(topic)).filter(|rate_hz| *rate_hz > 0.0)?;
+        let [readout_s, delay_s] =
+            [readout_entry(topic), delay_entry(topic)].map(|entry| number(&entry).unwrap_or_default());
+        Some(CameraTiming { rate_hz, readout_s, delay_s })
     };
-    sensors.cameras.iter().map(rate).collect()
+    sensors.cameras.iter().map(of).collect()
 }
 
 fn own(bag: &Bag) -> Option<&Metadata> {

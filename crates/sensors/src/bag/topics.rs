@@ -37,7 +37,7 @@ pub struct BagSensors {
     pub imu: Option<usize>,
     /// The accelerometer, where it has a topic of its own.
     pub accelerometer: Option<usize>,
-    /// One camera or two, in order.
+    /// The cameras, in order.
     pub cameras: Vec<BagCamera>,
     /// Topics that are no cameras of this robot, and why, a line each.
     pub notes: Vec<String>,
@@ -54,7 +54,7 @@ pub struct BagCamera {
 
 impl BagSensors {
     /// Finds the sensors: the topics that are named, else the only IMU (or gyroscope and accelerometer), and the cameras that
-    /// the calibration names by its `rostopic`, else one or two in order of their names. Of a camera that is recorded as it
+    /// the calibration names by its `rostopic`, else all that Driftless recorded, else one or two in order of their names. Of a camera that is recorded as it
     /// is and compressed, the first counts; depths are no camera.
     ///
     /// # Errors

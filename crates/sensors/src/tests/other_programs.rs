@@ -162,6 +162,25 @@ fn every_way_to_write_a_calibration_means_the_same() {
     }
 }
 
+/// A `sensor.yaml` of the EuRoC layout, too, which states by itself when its pixels are taken.
+#[test]
+fn a_camera_s_own_file_keeps_its_times() {
+    let timed = kimera_camera("cam0", &imu_from_camera()) + "line_delay: 2.5e-05\ntimeshift_cam_imu: 0.03\n";
+    let chain = |files: &[(&'static str, String)]| {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        calibration::kalibr::read_camera_chain(&folder.path().join("sensor.yaml"), &[None], &[0]).unwrap()
+    };
+    let read = chain(&[("sensor.yaml", timed.clone())]);
+    assert_eq!((read.time_offset_ns, read.time_shifts_s.as_slice()), (30_000_000, [0.0].as_slice()));
+    assert!((read.readouts_s[0] - 0.012).abs() < 1e-12, "{:?}", read.readouts_s);
+    // Kimera's file of the IMU comes first.
+    let read = chain(&[("sensor.yaml", timed), ("ImuParams.yaml", kimera_imu())]);
+    assert_eq!(read.time_offset_ns, 12_500_000);
+}
+
 #[test]
 fn the_camera_models_of_basalt_and_orb_slam3_are_read() {
     let pose = imu_from_camera();

@@ -7,6 +7,8 @@ use std::str::FromStr;
 
 /// In place of the names of the sensors' frames: none is published.
 const NO_FRAMES: &str = "none";
+/// Stands for all further cameras.
+const OTHERS: &str = "...";
 
 /// What a robot publishes for ROS 2, and where.
 #[derive(Clone, Debug)]
@@ -74,14 +76,23 @@ impl RosBody {
 /// Names of the frames of the IMU and of the cameras, as far as transforms to them are to be published.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SensorFrames {
-    /// IMU, camera 0, camera 1; those that are left out are not published.
+    /// IMU, camera 0, camera 1 and so on; those that are left out are not published.
     pub names: Vec<String>,
+    /// Whether all further cameras are published, too, by their usual names.
+    pub with_others: bool,
 }
 
 impl Default for SensorFrames {
-    /// `imu`, `cam0`, `cam1`.
+    /// `imu`, `cam0`, `cam1`, and further cameras likewise.
     fn default() -> Self {
-        Self { names: ["imu", "cam0", "cam1"].map(str::to_owned).to_vec() }
+        Self { names: ["imu", "cam0", "cam1"].map(str::to_owned).to_vec(), with_others: true }
+    }
+}
+
+impl SensorFrames {
+    /// How many of some cameras are published.
+    pub(crate) fn published(&self, cameras: usize) -> usize {
+        if self.with_others { cameras } else { self.names.len().saturating_sub(1).min(cameras) }
     }
 }
 
@@ -90,15 +101,16 @@ impl FromStr for SensorFrames {
 
     fn from_str(text: &str) -> Result<Self, String> {
         if text == NO_FRAMES {
-            return Ok(Self { names: Vec::new() });
+            return Ok(Self { names: Vec::new(), with_others: false });
         }
-        let names: Vec<&str> = text.split(',').map(str::trim).collect();
-        if names.len() > 3 || !distinct(&names) {
+        let mut names: Vec<&str> = text.split(',').map(str::trim).collect();
+        let with_others = names.pop_if(|last| *last == OTHERS).is_some();
+        if names.is_empty() || names.contains(&OTHERS) || !distinct(&names) {
             return Err("give different names of IMU and cameras, imu,cam0,cam1, as many as are to be \
-                        published, or none"
+                        published, with ... in the end for all further cameras, or none"
                 .to_owned());
         }
-        Ok(Self { names: names.into_iter().map(str::to_owned).collect() })
+        Ok(Self { names: names.into_iter().map(str::to_owned).collect(), with_others })
     }
 }
 
@@ -145,9 +157,12 @@ mod tests {
         let names = |text: &str| text.parse::<SensorFrames>().map(|frames| frames.names);
         assert_eq!(names("none").unwrap(), Vec::<String>::new());
         assert_eq!(names("cart7/imu, cart7/left").unwrap(), ["cart7/imu", "cart7/left"]);
-        for wrong in ["", "imu,imu", "/imu", "imu,cam0,cam1,cam2", "imu,,cam1"] {
+        for wrong in ["", "imu,imu", "/imu", "...", "imu,...,cam1", "imu,,cam1"] {
             assert!(names(wrong).is_err(), "{wrong}");
         }
+        assert_eq!("imu,cam0,cam1,...".parse(), Ok(SensorFrames::default()));
+        let published = |text: &str| text.parse::<SensorFrames>().unwrap().published(4);
+        assert_eq!(["none", "imu", "imu,front,left,back", "imu,front,..."].map(published), [0, 0, 3, 4]);
         let body = RosBody { sensor_frames: "imu,base_link".parse().unwrap(), ..RosBody::default() };
         assert_eq!(body.ambiguous_frame(), Some("base_link"));
         assert_eq!(RosBody::default().ambiguous_frame(), None);

@@ -12,8 +12,7 @@ use sensors::ros::{RosSensors, transform_message};
 /// # Arguments
 /// * `cameras`: their calibration; what a run estimates of it is not published.
 pub fn static_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) -> TFMessage {
-    let named = body.sensor_frames.names.len().saturating_sub(1).min(cameras.len());
-    complete_transforms(body, &cameras[..named], stamp)
+    complete_transforms(body, &cameras[..body.sensor_frames.published(cameras.len())], stamp)
 }
 
 /// As [`static_transforms`], with all cameras on the IMU: those that are not named under the usual names. Where the IMU is on the robot
