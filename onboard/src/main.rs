@@ -137,14 +137,15 @@ impl Input {
     fn open(arguments: &Arguments, stop: &StopSignal, runtime: &NetworkRuntime) -> Result<Self> {
         Ok(match (arguments.source, &arguments.sequence) {
             (Source::Recording, Some(sequence)) => {
-                let mut files = arguments.calibration.files();
-                arguments.robot.wheels.name_topic(&mut files)?;
-                arguments.robot.gnss.name_topic(&mut files)?;
+                let files = arguments.robot.recording_files(&arguments.calibration)?;
                 Self::Recording(Box::new(Recording::open_with(sequence, &files)?))
             }
             (Source::Recording, None) => bail!("--sequence REC is missing"),
             (Source::Native, _) => Self::Native,
-            (Source::Ros2, _) => Self::Ros2(Box::new(RosInput::open(arguments, stop, runtime)?)),
+            (Source::Ros2, _) => {
+                warn_of_recording(arguments, "ros2");
+                Self::Ros2(Box::new(RosInput::open(arguments, stop, runtime)?))
+            }
         })
     }
 
@@ -241,8 +242,14 @@ fn warn_of_topics(arguments: &Arguments) {
             "--source native has keys of its own, robot/NAME/sensors/...: this topic is not used"
         );
     }
+    warn_of_recording(arguments, "native");
+}
+
+/// Says that a recording is not played where a source of live sensors is named, too.
+fn warn_of_recording(arguments: &Arguments, source: &str) {
     if let Some(sequence) = &arguments.sequence {
-        tracing::warn!(sequence = %sequence.display(), "--source native takes live sensors: this recording is not played");
+        let sequence = sequence.display();
+        tracing::warn!(%sequence, "--source {source} takes live sensors: this recording is not played");
     }
 }
 

@@ -288,6 +288,17 @@ fn a_complete_run_reports_its_gaps() {
 }
 
 #[test]
+fn a_recording_beside_topics_of_ros_is_not_played_and_that_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let child = start(Path::new("drive"), &folder.path().join("out"), &["--source", "ros2"]);
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    // Before anything is missing that live sensors need.
+    assert!(!output.status.success() && said.contains("--imu-topic is missing"), "{said}");
+    assert!(said.contains("--source ros2 takes live sensors: this recording is not played"), "{said}");
+}
+
+#[test]
 fn a_closed_pipe_is_no_panic() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");

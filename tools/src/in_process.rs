@@ -61,6 +61,7 @@ pub fn run_in_map(
 ) -> Result<Outcome> {
     let mut robot = robot.clone();
     robot.gravity_in_own_frame = gravity_in_own_frame(map);
+    robot.mount_as_in(&recording);
     let server = LocalServer::start(vec![(MAP.to_owned(), Arc::clone(map))])?;
     let link = server.link(MAP)?;
     let outcome = run_robot_until(stop, recording, &robot, Some(RobotLink::Open(link.clone())), show);

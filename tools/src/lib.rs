@@ -21,6 +21,7 @@ pub mod map_place;
 mod map_topics;
 mod old_spellings;
 mod open_page;
+mod own_map;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;

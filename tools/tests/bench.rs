@@ -56,4 +56,11 @@ fn names_and_folders_that_are_no_dataset_are_refused_in_words() {
     assert!(one.contains("is one recording"), "{one}");
     let alone = refused("bench set --map-from a_first --only a_first --out out");
     assert!(alone.contains("a_first is mapped"), "{alone}");
+    // Switches of wheels and GNSS hold for the recordings of a dataset, too.
+    let joints = refused("bench set --out out --wheel-topic /wheels --wheel-joints a,b,c");
+    assert!(joints.contains("--wheel-joints names 3 joints"), "{joints}");
+    assert!(!scratch.path("out").exists());
+    scratch.copy_map(&town().join("hall.db"), "out/map.db");
+    let replaced = refused("bench set --out out");
+    assert!(replaced.contains("was made by driftless build-map"), "{replaced}");
 }

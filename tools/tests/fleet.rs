@@ -32,6 +32,13 @@ fn a_fleet_is_made_grows_and_is_renewed() {
 
     let said = fleet(folder, "add-robot fleet r3").unwrap();
     assert!(said.contains("router/zenoh.json5") && knows("\"robot/r3\""), "{said}");
+    // An addition that was killed before the fleet had the member: the router knows it, and it is added again.
+    let state = folder.join("fleet/authority/fleet.json");
+    let before = std::fs::read(&state).unwrap();
+    fleet(folder, "add-robot fleet r4").unwrap();
+    std::fs::write(&state, before).unwrap();
+    fleet(folder, "add-robot fleet r4").unwrap();
+    assert!(knows("\"robot/r4\""));
     fleet(folder, "add-server fleet s2").unwrap();
     assert!(knows("\"map_server/s2\""));
     let member = Member::read(&folder.join("fleet/r3")).unwrap();
@@ -41,15 +48,19 @@ fn a_fleet_is_made_grows_and_is_renewed() {
     fleet(folder, "renew fleet r1").unwrap();
     assert_ne!(certificate(folder, "r1"), first);
     assert_eq!(certificate(folder, "r2"), second);
+    // A configuration that is not that of the fleet is written anew.
+    let config = std::fs::read_to_string(&router).unwrap();
+    std::fs::write(&router, config.replace("robot/r4", "robot/none")).unwrap();
     fleet(folder, "renew fleet").unwrap();
     assert_ne!(certificate(folder, "r2"), second);
+    assert_eq!(std::fs::read_to_string(&router).unwrap(), config);
     assert_keys_are_private(&folder.join("fleet"));
 }
 
 #[cfg(unix)]
 fn assert_keys_are_private(folder: &Path) {
     use std::os::unix::fs::PermissionsExt as _;
-    let members = ["authority", "router", "s1", "s2", "r1", "r2", "r3", "ann"];
+    let members = ["authority", "router", "s1", "s2", "r1", "r2", "r3", "r4", "ann"];
     for member in members {
         let name = if member == "authority" { "ca-key.pem" } else { "key.pem" };
         let mode = std::fs::metadata(folder.join(member).join(name)).unwrap().permissions().mode();

@@ -48,6 +48,10 @@ fn a_robot_records_a_session_hands_it_in_and_the_map_learns_from_it_once() {
     let in_inbox = json_of(&scratch, "list-sessions inbox");
     assert_eq!(in_inbox[0]["id"], session["id"]);
     let file = in_inbox[0]["file"].as_str().unwrap().to_owned();
+    // What lies there is not handed in once more, and removed as what has been.
+    let said = complaint(&scratch, "hand-in inbox --inbox inbox --remove");
+    assert!(said.contains("lies in the inbox inbox itself") && said.contains(&file), "{said}");
+    assert!(scratch.path(&file).exists());
 
     let before = json_of(&scratch, "map-info --map hall.db");
     scratch.run(&format!("build-map {file} --map hall.db --extend"));

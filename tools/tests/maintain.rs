@@ -123,6 +123,14 @@ fn sessions_are_taken_once_and_bad_ones_are_named() {
         let next = json_of(&scratch, "maintain --map hall.db copy.session --to away/hall");
         assert_eq!((&next["version"], &next["candidate"]), (&Value::Null, &candidate), "{next:#}");
     }
+
+    // What cannot be remembered of refused sessions costs neither the report nor a proposal.
+    let remembered = scratch.path("hall.db.refused.json");
+    let _ = std::fs::remove_file(&remembered);
+    std::fs::create_dir(&remembered).unwrap();
+    assert!(fails("copy.session --to third --report last.json").contains("hall.db.refused.json"));
+    let written: Value = serde_json::from_slice(&std::fs::read(scratch.path("last.json")).unwrap()).unwrap();
+    assert_eq!((&written["version"], &written["candidate"]), (&Value::Null, &serde_json::json!(1)));
 }
 
 #[test]

@@ -106,7 +106,18 @@ fn an_edited_map_is_the_next_version_without_what_was_taken_out() {
     let all = complaint_of(&["edit-map", "--map", text(&map), "--remove-box=-1e6,-1e6,-1e6,1e6,1e6,1e6"]);
     assert!(all.contains("no keyframe would be left"), "{all}");
     let nothing = complaint_of(&["edit-map", "--map", text(&map), "--remove-time", "-5,-3"]);
-    assert!(nothing.contains("remove-time") || nothing.contains("nothing is chosen"), "{nothing}");
+    assert!(nothing.contains("--remove-time: no keyframe was taken then"), "{nothing}");
+    let edit = ["edit-map", "--map", text(&map), "--remove", "10"];
+    for (switch, said) in [
+        ("--remove-box=1e5,1e5,1e5,1e6,1e6,1e6", "--remove-box: no keyframe is in that box"),
+        ("--crop-landmarks=-1e6,-1e6,-1e6,1e6,1e6,1e6", "--crop-landmarks: every landmark is in that box"),
+        ("--crop-landmarks=1e5,1e5,1e5,1e6,1e6,1e6", "no landmark would be left"),
+        ("--drop-images", "--drop-images: the map has no images"),
+    ] {
+        let refused = complaint_of(&[&edit[..], &[switch]].concat());
+        assert!(refused.contains(said), "{switch}: {refused}");
+    }
+    assert_eq!(json_of(&["map-info", "--map", text(&map)])["version"], 2);
     let odd = complaint_of(&["edit-map", "--map", text(&map), "--remove", "5-2"]);
     assert!(odd.contains("3,17,20-35"), "{odd}");
 }

@@ -66,6 +66,10 @@ fn a_given_trajectory_is_simulated() {
     let out = folder.path().join("hall");
     let printed = stdout_of(&["simulate", "--out", text(&out), "--trajectory", text(&trajectory)]);
     assert!(printed.contains("hall/live: 6 m in 5 s"), "{printed}");
+    let again = ["simulate", "--out", text(&out), "--trajectory", text(&trajectory)];
+    let refused = stderr_of(&again);
+    assert!(refused.contains("hall/map is a recording already") && refused.contains("--force"), "{refused}");
+    assert_eq!(stdout_of(&[&again[..], &["--force"]].concat()), printed);
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! A term of the cost that depends on the states, for example a prior or a measurement between two views.
 
+use nalgebra::DVector;
+
 use crate::bundle::Bundle;
 use crate::normal_equations::NormalEquations;
 
@@ -18,6 +20,18 @@ pub trait Factor: Sync {
     /// # Arguments
     /// * `scale`: of the robust loss (standard deviations); infinite for none.
     fn add_to(&self, equations: &mut NormalEquations, bundle: &Bundle, scale: f64);
+}
+
+/// What some terms of the cost say of a change of the states: their information, without robust weights, times the change.
+///
+/// # Arguments
+/// * `change`: of all states of the bundle, in the order of its layout.
+pub fn information_times(factors: &[&dyn Factor], bundle: &Bundle, change: &DVector<f64>) -> DVector<f64> {
+    let mut equations = NormalEquations::new(bundle.layout());
+    for factor in factors {
+        factor.add_to(&mut equations, bundle, f64::INFINITY);
+    }
+    equations.terms_times(change)
 }
 
 /// All of them.

@@ -7,9 +7,17 @@ use crate::layout::StateLayout;
 /// No block yet, in the table of blocks.
 const NONE: u32 = u32::MAX;
 
-/// The blocks of one landmark.
+/// A landmark whose V has a smaller reciprocal condition number, with its diagonal scaled to one, is not determined: what is left of its
+/// inverse is rounding.
+const LEAST_RECIPROCAL_CONDITION: f64 = 1e-12;
+
+/// The blocks of one landmark: all that its pixels, and what a map knows of it, say.
 #[derive(Default)]
 pub struct LandmarkBlocks {
+    /// What they add to the diagonal of H and to g: view, `J_view^T J_view`, `J_view^T r`.
+    pub poses: Vec<(usize, Matrix6<f64>, Vector6<f64>)>,
+    /// What they add beside the diagonal of H: two views a and b, `J_a^T J_b`.
+    pub pairs: Vec<(usize, usize, Matrix6<f64>)>,
     /// Blocks of W: view, `J_view^T J_point`.
     pub couplings: Vec<(usize, Matrix6x3<f64>)>,
     /// V.
@@ -21,6 +29,8 @@ pub struct LandmarkBlocks {
 impl LandmarkBlocks {
     /// Makes all of them zero, and keeps the memory.
     pub fn clear(&mut self) {
+        self.poses.clear();
+        self.pairs.clear();
         self.couplings.clear();
         self.information = Matrix3::zeros();
         self.gradient = Vector3::zeros();
@@ -29,7 +39,7 @@ impl LandmarkBlocks {
 
 /// A landmark after its elimination.
 struct Eliminated {
-    /// The inverse of V; zero for a landmark that is held constant.
+    /// The inverse of V; zero for a landmark that is not determined.
     inverse: Matrix3<f64>,
     /// l.
     gradient: Vector3<f64>,
@@ -83,14 +93,14 @@ impl LandmarkEquations {
     }
 
     /// Adds information on one pose.
-    pub fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
+    fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
         let at = self.position(view);
         self.diagonal[at] += information;
         self.gradient[at] += gradient;
     }
 
     /// Adds the block `J_a^T J_b` of two views.
-    pub fn add_pair(&mut self, a: usize, b: usize, block: &Matrix6<f64>) {
+    fn add_pair(&mut self, a: usize, b: usize, block: &Matrix6<f64>) {
         let (a, b) = (self.position(a), self.position(b));
         if a <= b {
             *self.block(a, b) += block;
@@ -99,9 +109,21 @@ impl LandmarkEquations {
         }
     }
 
-    /// Adds a landmark, after its poses and pairs, and eliminates it. One whose V is singular is held constant.
+    /// Adds a landmark and eliminates it. One whose V is singular, or so nearly that its inverse is rounding, is held constant and says
+    /// nothing of the poses: its pixels would measure them as if it were known exactly.
     pub fn add_landmark(&mut self, landmark: &LandmarkBlocks) {
         let begin = self.eliminated.couplings.len();
+        let Some(inverse) = inverse_of_determined(&landmark.information) else {
+            let held = Eliminated { inverse: Matrix3::zeros(), gradient: landmark.gradient, end: begin };
+            self.eliminated.landmarks.push(held);
+            return;
+        };
+        for (view, information, gradient) in &landmark.poses {
+            self.add_pose(*view, information, gradient);
+        }
+        for (a, b, block) in &landmark.pairs {
+            self.add_pair(*a, *b, block);
+        }
         for (view, coupling) in &landmark.couplings {
             let at = self.position(*view);
             let couplings = &mut self.eliminated.couplings;
@@ -112,7 +134,6 @@ impl LandmarkEquations {
         }
         self.eliminated.couplings[begin..].sort_unstable_by_key(|(at, _)| *at);
         let end = self.eliminated.couplings.len();
-        let inverse = landmark.information.try_inverse().unwrap_or_else(Matrix3::zeros);
         for index in begin..end {
             let (a, by_a) = self.eliminated.couplings[index];
             let eliminated = by_a * inverse;
@@ -159,6 +180,18 @@ impl LandmarkEquations {
         }
         &mut self.blocks[*at as usize].2
     }
+}
+
+/// The inverse of V; `None` where V is singular but for rounding. Ray and depth have other units, so that its diagonal is scaled to one
+/// before.
+fn inverse_of_determined(information: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let scale = information.diagonal().map(|value| value.sqrt().recip());
+    let scale = scale * scale.transpose();
+    let scaled = information.component_mul(&scale);
+    let inverse = scaled.try_inverse()?;
+    // NaN, of a diagonal with a zero, is not above.
+    let reciprocal_condition = (scaled.norm() * inverse.norm()).recip();
+    (reciprocal_condition > LEAST_RECIPROCAL_CONDITION).then(|| inverse.component_mul(&scale))
 }
 
 impl EliminatedLandmarks {

@@ -17,7 +17,7 @@ use types::LandmarkId;
 
 use crate::camera::{MIN_DEPTH, MountedCamera, ViewPose};
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation, MAPPED_INVERSE_DEPTHS};
-use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
+use crate::landmark_equations::LandmarkBlocks;
 use crate::pose_prior::pose_error;
 
 /// Gauss-Newton iterations from the position that the map states.
@@ -172,13 +172,7 @@ impl LandmarkPrior {
     }
 
     /// Adds the linearized residual.
-    pub fn add_to(
-        &self,
-        equations: &mut LandmarkEquations,
-        blocks: &mut LandmarkBlocks,
-        landmark: &InverseDepthLandmark,
-        poses: &[Pose],
-    ) {
+    pub fn add_to(&self, blocks: &mut LandmarkBlocks, landmark: &InverseDepthLandmark, poses: &[Pose]) {
         let weighted = self.information * self.residual(landmark, poses);
         let by_landmark = self.parameters(landmark).1;
         blocks.information += by_landmark * self.information * by_landmark;
@@ -186,9 +180,9 @@ impl LandmarkPrior {
         let by_pose: Vec<(usize, Matrix3x6<f64>)> = self.gains(poses).collect();
         for (index, (view, by_view)) in by_pose.iter().enumerate() {
             let coupling: Matrix6x3<f64> = by_view.transpose() * self.information;
-            equations.add_pose(*view, &(coupling * by_view), &-(by_view.transpose() * weighted));
+            blocks.poses.push((*view, coupling * by_view, -(by_view.transpose() * weighted)));
             for (other, by_other) in &by_pose[index + 1..] {
-                equations.add_pair(*view, *other, &(coupling * by_other));
+                blocks.pairs.push((*view, *other, coupling * by_other));
             }
             blocks.couplings.push((*view, coupling * by_landmark));
         }

@@ -46,7 +46,7 @@ pub use bundle::{Bundle, ViewMotion};
 pub use camera::{MAX_DEPTH, MIN_DEPTH, MountedCamera, ViewPose};
 pub use covariance::StateCovariance;
 pub use dense_inverse::inverse_of;
-pub use factor::Factor;
+pub use factor::{Factor, information_times};
 pub use joint_prior::{JointPrior, pose_errors};
 pub use landmark::{FeatureId, InverseDepthLandmark, LandmarkObservation, MAPPED_INVERSE_DEPTHS, Prediction};
 pub use landmark_equations::{LandmarkBlocks, LandmarkEquations};

@@ -115,6 +115,11 @@ impl NormalEquations {
         self.terms.add(&indices, &indices, information);
     }
 
+    /// The product of H without landmarks and a vector of the states.
+    pub(crate) fn terms_times(&self, vector: &DVector<f64>) -> DVector<f64> {
+        self.terms.times(vector)
+    }
+
     /// Adds a run of landmarks, with what their pixels say of the poses.
     pub fn add_landmarks(&mut self, run: LandmarkEquations) {
         for (view, diagonal, gradient, eliminated) in run.of_views() {

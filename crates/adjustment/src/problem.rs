@@ -187,9 +187,9 @@ impl Problem<'_> {
         for landmark in landmarks {
             blocks.clear();
             if let Some(prior) = &landmark.prior {
-                prior.add_to(&mut equations, &mut blocks, landmark, &bundle.poses);
+                prior.add_to(&mut blocks, landmark, &bundle.poses);
             }
-            self.add_pixels(&mut equations, &mut blocks, landmark, poses, scale);
+            self.add_pixels(&mut blocks, landmark, poses, scale);
             for index in 0..3 {
                 blocks.information[(index, index)] *= 1.0 + damping;
             }
@@ -203,7 +203,6 @@ impl Problem<'_> {
 
     fn add_pixels(
         &self,
-        equations: &mut LandmarkEquations,
         blocks: &mut LandmarkBlocks,
         landmark: &InverseDepthLandmark,
         poses: &[ViewPose],
@@ -224,11 +223,11 @@ impl Problem<'_> {
             anchor_information += by_anchor * predicted.by_anchor;
             anchor_gradient += by_anchor * residual;
             anchor_coupling += by_anchor * predicted.by_landmark;
-            equations.add_pose(view, &(by_view * predicted.by_view), &(by_view * residual));
-            equations.add_pair(anchor, view, &(by_anchor * predicted.by_view));
+            blocks.poses.push((view, by_view * predicted.by_view, by_view * residual));
+            blocks.pairs.push((anchor, view, by_anchor * predicted.by_view));
             blocks.couplings.push((view, by_view * predicted.by_landmark));
         }
-        equations.add_pose(anchor, &anchor_information, &anchor_gradient);
+        blocks.poses.push((anchor, anchor_information, anchor_gradient));
         blocks.couplings.push((anchor, anchor_coupling));
     }
 

@@ -108,6 +108,20 @@ impl SparseSystem {
         (places, values)
     }
 
+    /// The product with a vector.
+    pub fn times(&self, vector: &DVector<f64>) -> DVector<f64> {
+        let (places, values) = self.entries();
+        let mut product = DVector::zeros(self.dim);
+        for (place, value) in places.iter().zip(values) {
+            let (row, column) = (place.row as usize, place.col as usize);
+            product[row] += value * vector[column];
+            if row != column {
+                product[column] += value * vector[row];
+            }
+        }
+        product
+    }
+
     /// The Cholesky factor; `None` where the matrix is not positive definite.
     pub fn factor(&self) -> Option<SparseFactor> {
         SparseCholesky::default().factor(self)
@@ -213,7 +227,8 @@ mod tests {
         }
         let factor = system.factor().unwrap();
         let right = DVector::from_fn(dim, |_, _| rng.random_range(-1.0..1.0));
-        assert!((&dense * factor.solve(&right) - right).amax() < 1e-12);
+        assert!((&dense * factor.solve(&right) - &right).amax() < 1e-12);
+        assert!((&dense * &right - system.times(&right)).amax() < 1e-12);
         let inverse = dense.try_inverse().unwrap();
         let columns = factor.inverse_columns(&[3, 17]);
         assert!((columns.column(0) - inverse.column(3)).amax() < 1e-12);

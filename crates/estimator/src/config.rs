@@ -355,6 +355,11 @@ impl EstimatorConfig {
         Ok(())
     }
 
+    /// Time of an image by the clock of the IMU, by the stated time offset, nanoseconds.
+    pub fn imu_stamp_ns(&self, image_stamp_ns: i64) -> i64 {
+        image_stamp_ns + (self.camera_time_offset_s * 1e9).round() as i64
+    }
+
     /// The cameras with the readout times of the settings, where these state some.
     pub fn with_readout_times(&self, mut cameras: Vec<CalibratedCamera>) -> Vec<CalibratedCamera> {
         let stated = &self.readout_times_s;

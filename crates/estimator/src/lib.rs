@@ -75,6 +75,7 @@ pub use calibration::{CalibratedCamera, Calibration, OnlineCalibration};
 pub use config::{AdaptiveNoise, ConfigError, EstimatorConfig, InitialSigmas, MapMode, Relinearization};
 pub use error::EstimatorError;
 pub use estimator::Estimator;
+pub use estimator::map_knowledge::MapKnowledge;
 pub use estimator::status::{Alarm, Localization, Status, StatusReason};
 pub use gnss::BadGnssReading;
 pub use gnss::config::GnssConfig;

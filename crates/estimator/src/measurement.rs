@@ -138,6 +138,13 @@ impl Information {
         (self.residual, self.rows) = (0.0, 0);
     }
 
+    /// Makes it count so many times.
+    pub fn scale(&mut self, weight: f64) {
+        self.matrix.view_mut().scale_mut(weight);
+        self.vector.iter_mut().for_each(|value| *value *= weight);
+        self.residual *= weight;
+    }
+
     /// Adds whitened rows.
     ///
     /// # Arguments

@@ -169,6 +169,14 @@ impl Propagation {
 
     /// Integrates from `a`, which is where the last step ended, to `b`. Samples of one time change nothing.
     pub fn step(&mut self, a: &ImuSample, b: &ImuSample) {
+        self.step_within(a, b, b.stamp_ns - a.stamp_ns);
+    }
+
+    /// [`Self::step`] of a part of the time between two readings: images cut a gap in them, and it is as uncertain in parts as in one piece.
+    ///
+    /// # Arguments
+    /// * `spacing_ns`: between the readings that `a` and `b` are interpolated from.
+    pub fn step_within(&mut self, a: &ImuSample, b: &ImuSample, spacing_ns: i64) {
         let dt = (b.stamp_ns - a.stamp_ns) as f64 * 1e-9;
         if dt <= 0.0 {
             return;
@@ -178,7 +186,8 @@ impl Propagation {
         step.apply(&mut self.covariance);
         self.covariance.transpose_mut();
         step.apply(&mut self.covariance);
-        self.covariance += step_noise(&noise_across_gap(&self.noise, dt), dt);
+        let gap_s = dt.max(spacing_ns as f64 * 1e-9);
+        self.covariance += step_noise(&noise_across_gap(&self.noise, gap_s), dt);
         self.now = next;
         self.elapsed += dt;
     }
@@ -296,12 +305,13 @@ pub(crate) fn noise_of_a_guess(noise: &ImuNoise) -> ImuNoise {
     noise_across_gap(noise, GUESSED_S)
 }
 
-/// Noise of a step, increased where it bridges a gap in the samples.
-fn noise_across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
-    if dt <= MAX_STEP_S {
+/// Noise of a step, increased where there is a gap in the samples, of which the step may be a part: over the whole gap the variance of the turn
+/// is `(GAP_RATE gap)^2`, however it is cut.
+fn noise_across_gap(noise: &ImuNoise, gap_s: f64) -> ImuNoise {
+    if gap_s <= MAX_STEP_S {
         return *noise;
     }
-    let increased = |density: f64, deviation: f64| density.hypot(deviation * dt.sqrt());
+    let increased = |density: f64, deviation: f64| density.hypot(deviation * gap_s.sqrt());
     let mut with_gap = *noise;
     with_gap.gyroscope = increased(noise.gyroscope, GAP_RATE);
     with_gap.accelerometer = increased(noise.accelerometer, GAP_FORCE);
@@ -458,6 +468,40 @@ mod tests {
         for k in 0..9 {
             assert!(error[k].abs() < 3.0 * bridged.noise[(k, k)].sqrt(), "state {k}");
             assert!(bridged.noise[(k, k)] > 100.0 * truth.noise[(k, k)], "state {k}");
+        }
+    }
+
+    /// Images cut it: what is not known of the turn and of the velocity in it is the same.
+    #[test]
+    fn a_gap_is_as_uncertain_in_parts_as_in_one_piece() {
+        let (state, noise) = (start(), ImuNoise::default());
+        let ends = [readings(1.0)[0], readings(1.0)[readings(1.0).len() / 2]];
+        let spacing_ns = ends[1].stamp_ns - ends[0].stamp_ns;
+        let in_parts = |count: i64| {
+            let mut propagation = Propagation::new(&state, &MotionEstimate::of(&state), &noise, GRAVITY);
+            let at = |part: i64| {
+                let stamp_ns = ends[0].stamp_ns + spacing_ns * part / count;
+                ImuSample::between(&ends[0], &ends[1], stamp_ns)
+            };
+            (0..count).for_each(|part| propagation.step_within(&at(part), &at(part + 1), spacing_ns));
+            propagation.end().noise
+        };
+        let whole = in_parts(1);
+        assert!(whole[(2, 2)].sqrt() > 0.9 * GAP_RATE * spacing_ns as f64 * 1e-9);
+        for count in [2, 5, 15] {
+            let cut = in_parts(count);
+            for k in [0, 1, 2] {
+                assert!((cut[(k, k)] / whole[(k, k)] - 1.0).abs() < 1e-9, "{count} parts, {k}");
+            }
+            // That of the turn in a part moves what comes after it, too.
+            for k in [3, 4, 5, VELOCITY, VELOCITY + 1, VELOCITY + 2] {
+                assert!(
+                    cut[(k, k)] > 0.99 * whole[(k, k)],
+                    "{count} parts, {k}: {} {}",
+                    cut[(k, k)],
+                    whole[(k, k)]
+                );
+            }
         }
     }
 

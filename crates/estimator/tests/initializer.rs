@@ -48,9 +48,22 @@ fn watch(
 /// # Arguments
 /// * `velocities`: by which each camera sees its points pass, in its own frame, m/s.
 fn watch_by(
+    initializer: Initializer,
+    velocities: &[Vector3<f64>],
+    seconds: f64,
+) -> Result<(f64, Initialization), Vec<InitStatus>> {
+    watch_with(initializer, velocities, seconds, 0)
+}
+
+/// The same with a camera whose clock is behind.
+///
+/// # Arguments
+/// * `behind_ns`: the stamps of the images are so much too early.
+fn watch_with(
     mut initializer: Initializer,
     velocities: &[Vector3<f64>],
     seconds: f64,
+    behind_ns: i64,
 ) -> Result<(f64, Initialization), Vec<InitStatus>> {
     let mut rng = StdRng::seed_from_u64(4);
     let mut draw = |low: f64, high: f64| rng.random_range(low..high);
@@ -81,7 +94,7 @@ fn watch_by(
             };
             tracks.extend(points.iter().enumerate().filter_map(see));
         }
-        match initializer.image(stamp_ns, &tracks) {
+        match initializer.image(stamp_ns - behind_ns, &tracks) {
             Ok(start) => return Ok((stamp_ns as f64 * 1e-9, start)),
             Err(waiting) => waited.push(waiting),
         }
@@ -144,4 +157,25 @@ fn the_next_start_takes_position_and_yaw_of_the_last_believed_pose() {
     let sigma = start.initial.covariance[(3, 3)].sqrt();
     assert!(sigma > 2.0 * elapsed_s && sigma < 2.0 * elapsed_s + 0.1, "{sigma} m after {elapsed_s} s");
     assert!(rotation::log(&(placed.rotation * turn.inverse())).norm() < 0.01);
+}
+
+/// The state is at the time of the image by the clock of the IMU, whatever the clock of the camera says.
+#[test]
+fn a_stated_offset_of_the_camera_s_clock_holds_at_the_start() {
+    let of = |offset_s: f64| {
+        let mut config = EstimatorConfig::default();
+        config.camera_time_offset_s = offset_s;
+        let behind_ns = (offset_s * 1e9) as i64;
+        let glide = [Vector3::new(0.4, 0.1, 0.0)];
+        let waited = watch_with(Initializer::new(config.clone(), cameras()), &glide, 3.0, behind_ns);
+        let rest =
+            watch_with(Initializer::new(config, cameras()), &[Vector3::zeros()], 3.0, behind_ns).unwrap();
+        (rest.1.initial, waited.unwrap_err())
+    };
+    let (expected, waited) = of(0.0);
+    for offset_s in [0.03, -0.03] {
+        let (found, statuses) = of(offset_s);
+        assert_eq!(found, expected);
+        assert_eq!(statuses, waited);
+    }
 }

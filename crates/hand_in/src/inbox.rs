@@ -9,6 +9,7 @@
 //! is removed at the next start, since it could end it again; its robot hands it in from the beginning.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs::{File, TryLockError};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -328,4 +329,17 @@ fn sizes(folder: &Path) -> Result<Vec<(PathBuf, u64)>, InboxError> {
 /// The SHA-256 of the bytes of a file.
 pub fn digest_of(bytes: &[u8]) -> [u8; 32] {
     Sha256::digest(bytes).into()
+}
+
+/// Whether a file lies where an inbox keeps a complete session, `ROBOT/DIGEST.session`: it may be the only copy, of
+/// whichever inbox.
+///
+/// # Arguments
+/// * `robot`: who recorded the session.
+/// * `bytes`: those of the file.
+pub fn is_in_inbox(path: &Path, robot: &str, bytes: &[u8]) -> bool {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let name = format!("{}.{COMPLETE}", types::hexadecimal::encode(&digest_of(bytes)));
+    let folder = path.parent().and_then(Path::file_name);
+    path.file_name() == Some(OsStr::new(&name)) && folder == Some(OsStr::new(robot))
 }

@@ -1,7 +1,7 @@
 //! Laws of the inbox.
 
 use crate::example_session::{chunk, header, write};
-use hand_in::inbox::digest_of;
+use hand_in::inbox::{digest_of, is_in_inbox};
 use hand_in::{HandInError, Inbox, InboxError, InboxSettings, Session, SessionWriter};
 use proptest::prelude::*;
 use protocol::SessionPart;
@@ -99,6 +99,22 @@ proptest! {
         prop_assert!(again.is_complete);
         prop_assert_eq!(files(folder.path().join("inbox").as_path()), found);
     }
+}
+
+#[test]
+fn the_place_of_a_session_in_an_inbox_is_known_from_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = session(folder.path(), 2);
+    let mut inbox = Inbox::open(settings(folder.path())).unwrap();
+    hand_in(&mut inbox, "ada", &bytes).unwrap();
+    let taken = &files(folder.path().join("inbox").as_path())[0];
+    assert!(is_in_inbox(taken, "ada", &bytes));
+    assert!(!is_in_inbox(taken, "bob", &bytes) && !is_in_inbox(taken, "ada", &bytes[1..]));
+    assert!(!is_in_inbox(&folder.path().join("2.session"), "ada", &bytes));
+    // A copy under that name in another folder is none of an inbox.
+    let copy = folder.path().join(taken.file_name().unwrap());
+    std::fs::copy(taken, &copy).unwrap();
+    assert!(!is_in_inbox(&copy, "ada", &bytes));
 }
 
 /// A server that is killed, or cannot read its disk, between the last part and the name of the session.

@@ -177,7 +177,7 @@ fn sigma_tilt(contents: &MapContents) -> Option<f64> {
 }
 
 /// Standard deviation of the scale that fits the stated positions to the true ones best, in the sense of least squares.
-fn sigma_scale(contents: &MapContents) -> Option<f64> {
+pub(super) fn sigma_scale(contents: &MapContents) -> Option<f64> {
     let keyframes = &contents.keyframes;
     let position = |keyframe: &Keyframe| keyframe.global_from_keyframe.pose.translation;
     let mean = keyframes.iter().map(position).sum::<Vector3<f64>>() / keyframes.len() as f64;

@@ -27,6 +27,8 @@ use super::readings::{IMU_SLACK_NS, buffered};
 
 /// Longest interval from which gravity and velocities are found (s): integration errors grow with its square.
 const MAX_INTERVAL_S: f64 = 4.0;
+/// Longest time between two readings of an interval (ns): over longer ones they are interpolated, and measure nothing.
+const MAX_GAP_NS: i64 = 50_000_000;
 /// Standard deviations of a position from the images (m), and of a change of velocity by the IMU (m/s for each second).
 const SIGMAS: [f64; 2] = [0.02, 0.05];
 /// Standard deviation of each axis of the accelerometer's bias (m/s^2).
@@ -71,7 +73,7 @@ struct ImagePose {
 }
 
 impl ImuAlignment {
-    /// Aligns a trajectory with the readings of a recording.
+    /// Aligns a trajectory with the readings of a recording. Intervals in which readings are missing are not used.
     ///
     /// # Arguments
     /// * `poses`: time stamps (ns) and poses of camera 0, in any frame.
@@ -85,14 +87,7 @@ impl ImuAlignment {
         scale: Option<f64>,
         config: &EstimatorConfig,
     ) -> Result<ImuAlignment, BuildError> {
-        let camera_from_imu = sequence.cameras[0].imu_from_camera.inverse();
-        let image = |&(stamp_ns, pose): &(i64, Pose)| ImagePose {
-            stamp_ns,
-            rotation: pose.rotation * camera_from_imu.rotation,
-            camera: pose.translation,
-            lever: pose.rotation * camera_from_imu.translation,
-        };
-        let images: Vec<ImagePose> = poses.iter().map(image).collect();
+        let images = image_poses(&sequence.cameras[0].imu_from_camera, poses);
         let readings = buffered(&sequence.imu_samples);
         let without_bias = intervals(&readings, &images, Vector3::zeros(), config);
         if images.len() < 3 || without_bias.len() < 2 {
@@ -140,6 +135,22 @@ pub(super) fn upright_from(gravity: &Vector3<f64>) -> UnitQuaternion<f64> {
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
+/// The poses of the IMU at the images.
+///
+/// # Arguments
+/// * `poses`: time stamps (ns) and poses of camera 0.
+fn image_poses(imu_from_camera: &Pose, poses: &[(i64, Pose)]) -> Vec<ImagePose> {
+    let camera_from_imu = imu_from_camera.inverse();
+    let image = |&(stamp_ns, pose): &(i64, Pose)| ImagePose {
+        stamp_ns,
+        rotation: pose.rotation * camera_from_imu.rotation,
+        camera: pose.translation,
+        lever: pose.rotation * camera_from_imu.translation,
+    };
+    poses.iter().map(image).collect()
+}
+
+/// The intervals that readings without a hole cover.
 fn intervals(
     readings: &ImuBuffer,
     images: &[ImagePose],
@@ -150,8 +161,10 @@ fn intervals(
     let interval = |(begin, ends): (usize, &[ImagePose])| {
         let [from, to] = [ends[0].stamp_ns, ends[1].stamp_ns];
         let seconds = (to - from) as f64 * 1e-9;
-        let between = readings.interval(from, to, IMU_SLACK_NS).ok();
-        let between = between.filter(|_| seconds <= MAX_INTERVAL_S)?;
+        if seconds > MAX_INTERVAL_S || readings.longest_gap_ns(from, to) > MAX_GAP_NS {
+            return None;
+        }
+        let between = readings.interval(from, to, IMU_SLACK_NS).ok()?;
         let change = propagate(&rest, &MotionEstimate::of(&rest), &between, &config.imu_noise, 0.0);
         Some(Interval { begin, seconds, change })
     };
@@ -340,6 +353,31 @@ mod tests {
         let error = alignment.scale / 0.4 - 1.0;
         assert!(error.abs() < 3.0 * alignment.sigma_scale, "{error}, sigma {}", alignment.sigma_scale);
         assert!(alignment.sigma_scale < 0.04, "{}", alignment.sigma_scale);
+    }
+
+    #[test]
+    fn intervals_with_a_hole_in_the_readings_are_left_out_and_the_others_align_as_before() {
+        let (mut sequence, poses) = trajectory();
+        let config = EstimatorConfig::default();
+        let images = image_poses(&sequence.cameras[0].imu_from_camera, &poses);
+        let count = |sequence: &Sequence| {
+            intervals(&buffered(&sequence.imu_samples), &images, Vector3::zeros(), &config).len()
+        };
+        let all = count(&sequence);
+        let whole = ImuAlignment::new(&sequence, &poses, None, &config).unwrap();
+        // Half a second is missing in each of three intervals.
+        for at in [4, 9, 14] {
+            let begin_ns = poses[at].0 + 400_000_000;
+            sequence
+                .imu_samples
+                .retain(|reading| !(begin_ns..begin_ns + 500_000_000).contains(&reading.stamp_ns));
+        }
+        assert_eq!(count(&sequence), all - 3);
+        let with_holes = ImuAlignment::new(&sequence, &poses, None, &config).unwrap();
+        let error = with_holes.scale / 0.4 - 1.0;
+        assert!(error.abs() < 3.0 * with_holes.sigma_scale, "{error}, sigma {}", with_holes.sigma_scale);
+        assert!(with_holes.sigma_scale > whole.sigma_scale);
+        assert!(with_holes.gravity.angle(&whole.gravity) < 0.02);
     }
 
     #[test]

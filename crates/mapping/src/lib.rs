@@ -87,7 +87,7 @@ mod without_references;
 
 pub use added_features::{AddFeaturesError, AddOptions, AddedReport, add_features};
 pub use aliasing::{find_aliases, find_aliases_of_independent};
-pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
+pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap, stamp_images};
 pub use error::BuildError;
 pub use extension::{ExtendError, ExtensionReport, extend_map};
 pub use feature_source::Extraction;

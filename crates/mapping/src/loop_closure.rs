@@ -149,20 +149,41 @@ pub(super) fn consistent(loops: &[RelativePose], poses: &[Pose]) -> Vec<Relative
     loops.iter().filter(|found| found.distance(poses) <= GATE).cloned().collect()
 }
 
+/// Whether a relative pose is one of those that are kept. Two places of one pair of views, which images of two cameras show, differ by
+/// what they say.
+pub(super) fn is_kept(one: &RelativePose, kept: &[RelativePose]) -> bool {
+    kept.iter().any(|kept| kept.views == one.views && kept.first_from_second == one.first_from_second)
+}
+
 /// Logs by how much refused loops are off: a place that looks like another one is metres away, one that is merely inaccurate is not.
 ///
 /// # Arguments
 /// * `found`: all loops; `kept`: those that are not refused.
 /// * `poses`: as they were adjusted with them.
 pub(super) fn log_refused(found: &[RelativePose], kept: &[RelativePose], poses: &[Pose]) {
-    let is_kept = |one: &RelativePose| {
-        kept.iter().any(|kept| kept.views == one.views && kept.first_from_second == one.first_from_second)
-    };
-    for refused in found.iter().filter(|found| !is_kept(found)) {
+    for refused in found.iter().filter(|found| !is_kept(found, kept)) {
         let [first, second] = refused.views;
         let expected = poses[first].inverse().compose(&poses[second]);
         let off = refused.first_from_second.local(&expected);
         let [rotation, position] = [off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm()];
         tracing::debug!(first, second, off_m = position, off_deg = rotation.to_degrees(), "loop refused");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_that_is_refused_is_not_kept_by_another_one_of_the_same_views() {
+        let place = |x: f64| RelativePose {
+            views: [0, 3],
+            first_from_second: Pose::new(nalgebra::UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0)),
+            information: Matrix6::identity(),
+        };
+        let poses = vec![Pose::identity(); 4];
+        let [right, wrong] = [place(0.1), place(12.0)];
+        let kept = consistent(&[right.clone(), wrong.clone()], &poses);
+        assert!(is_kept(&right, &kept) && !is_kept(&wrong, &kept));
     }
 }

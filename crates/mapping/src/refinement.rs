@@ -3,12 +3,15 @@
 use adjustment::{
     Bundle, Factor, InverseDepthLandmark, JointPrior, LandmarkTie, Loss, MAPPED_INVERSE_DEPTHS,
     MeasuredPoses, MountedCamera, PixelModel, PosePrior, Problem, RelativePose, StateCovariance, ViewPose,
+    information_times,
 };
 use estimator::inertial_chain::InertialChain;
-use nalgebra::Vector3;
+use nalgebra::{DVector, Vector3, Vector6};
 
 use super::error::BuildError;
-use super::joint_covariance::{JointCovariance, covariance_of_new, joint_covariance};
+use super::joint_covariance::{
+    FrameAndScale, JointCovariance, SCALE_SIGMA, ScaleFloor, covariance_of_new, joint_covariance,
+};
 use super::keyframe_view::KeyframeView;
 use super::loop_closure::plausible;
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
@@ -53,6 +56,8 @@ pub(super) struct Constraints {
     pub(super) ties: Vec<LandmarkTie>,
     /// Direction of gravity, unit vector, where nothing else defines the frame: it is that of the map as a whole.
     pub(super) own_frame: Option<Vector3<f64>>,
+    /// How well the scale may be known at most, where the maps that are merged may share its error.
+    pub(super) scale_floor: Option<ScaleFloor>,
 }
 
 impl Constraints {
@@ -76,6 +81,58 @@ impl Constraints {
     ) -> Result<Vec<RelativePose>, BuildError> {
         let covariance = self.problem(cameras, sigma_px).covariance(bundle).ok_or(BuildError::Indefinite)?;
         Ok(plausible(loops, &bundle.poses, &covariance))
+    }
+
+    /// What is stated of the frame and of the scale of some views.
+    ///
+    /// What gives the scale otherwise than by known poses is a recording, by its baseline or its accelerometer. Where there is no recording,
+    /// the poses, or the maps, are what gives the scale, with the errors that they state.
+    ///
+    /// # Arguments
+    /// * `posterior`: of the views.
+    fn frame_and_scale(
+        &self,
+        covariance: &StateCovariance,
+        bundle: &Bundle,
+        posterior: &Posterior<'_>,
+    ) -> FrameAndScale {
+        match (self.own_frame, self.scale_floor, &self.inertial) {
+            (Some(gravity), ..) => FrameAndScale::OfTheWhole(gravity),
+            (None, Some(floor), _) => FrameAndScale::WithScaleFloor(floor),
+            (None, None, Some(_)) => {
+                FrameAndScale::WithScaleError(self.scale_errors(covariance, bundle, posterior))
+            }
+            (None, None, None) => FrameAndScale::AsAdjusted,
+        }
+    }
+
+    /// How far the views of a posterior are off where all lengths that the recording measures are off by [`SCALE_SIGMA`].
+    ///
+    /// Such a recording fits `s`, the trajectory that is larger by a share, as well as it would fit the true one. With the information `H`
+    /// of everything and `K` of what is known of the poses besides the recording, the adjustment is off by
+    /// ```text
+    /// H^-1 (H - K) s = s - P K s
+    /// ```
+    /// It does not matter about which point `s` is larger: neither images nor IMU see position and yaw.
+    pub(super) fn scale_errors(
+        &self,
+        covariance: &StateCovariance,
+        bundle: &Bundle,
+        posterior: &Posterior<'_>,
+    ) -> Vec<Vector6<f64>> {
+        let known: [&dyn Factor; 3] = [&self.priors, &self.measured, &self.stored];
+        let layout = bundle.layout();
+        // Near the recording, whose views come first: what cancels is small then.
+        let recorded = if layout.motions > 0 { layout.motions } else { bundle.poses.len() };
+        let positions = bundle.poses[..recorded].iter().map(|pose| pose.translation);
+        let centre = positions.sum::<Vector3<f64>>() / recorded.max(1) as f64;
+        let mut larger: DVector<f64> = DVector::zeros(layout.dim());
+        for (view, pose) in bundle.poses.iter().enumerate() {
+            let off = (pose.translation - centre) * SCALE_SIGMA;
+            larger.fixed_rows_mut::<3>(layout.pose(view).start + 3).copy_from(&off);
+        }
+        let held = covariance.times(&information_times(&known, bundle, &larger));
+        posterior.moved(&(larger - held), layout)
     }
 
     /// The least-squares problem for a pixel noise (px).
@@ -187,7 +244,8 @@ pub(super) fn stated_covariance(
     let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
     let posterior = Posterior::new(covariance, &bundle.poses, views, stored);
     let show = |done, all| progress(Stage::Covariance, done, all);
-    joint_covariance(&posterior, (views, keyframes), &positions, constraints.own_frame.as_ref(), show)
+    let frame_and_scale = constraints.frame_and_scale(covariance, bundle, &posterior);
+    joint_covariance(&posterior, (views, keyframes), &positions, frame_and_scale, show)
 }
 
 /// Covariances and cross-covariances of the views of a recording that was located in a map, whose keyframes state theirs as they did.
@@ -197,6 +255,7 @@ pub(super) fn stated_covariance(
 /// * `views`: those of the recording's keyframes, then those of the map's keyframes; `new` of them are of the recording.
 pub(super) fn located_covariance(
     covariance: &StateCovariance,
+    constraints: &Constraints,
     bundle: &Bundle,
     (views, new): (&[usize], usize),
     stored: &StoredPoses,
@@ -204,7 +263,8 @@ pub(super) fn located_covariance(
 ) -> JointCovariance {
     let posterior = Posterior::new(covariance, &bundle.poses, views, std::slice::from_ref(stored));
     let show = |done, all| progress(Stage::Covariance, done, all);
-    let mut joint = covariance_of_new(&posterior, views, new, show);
+    let errors = constraints.scale_errors(covariance, bundle, &posterior);
+    let mut joint = covariance_of_new(&posterior, (views, new), &errors, show);
     joint.own.extend(stored.stated());
     joint
 }

@@ -1,12 +1,12 @@
 //! Initializes the estimator, runs it, and initializes it again when it diverges.
 //!
 //! The odometry frame L is continuous over initializations (REP-105): a new filter begins with position and yaw of the
-//! last trusted pose. The pose in the map is not carried over; a new filter is localized by its own queries.
+//! last trusted pose. The pose in the map is not carried over; a new filter is localized by its own queries, in the same map.
 
 use estimator::{
     CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, GnssCounts, GnssReading,
     ImuSample, InitMethod, InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise,
-    LearnedWheels, Localization, Status, TrackObservation, WheelReading, WheelReport,
+    LearnedWheels, Localization, MapKnowledge, Status, TrackObservation, WheelReading, WheelReport,
 };
 use sensors::push_newest;
 use std::collections::VecDeque;
@@ -44,6 +44,8 @@ pub struct EstimatorSupervisor {
     learned_noise: Option<LearnedNoise>,
     /// Calibration of the wheels that the last filter learned.
     learned_wheels: Option<LearnedWheels>,
+    /// What the last filter knew of the map.
+    map_knowledge: MapKnowledge,
     /// Readings of the wheels for the next filter.
     wheel_readings: VecDeque<WheelReading>,
     /// What the filters before did with wheels and GNSS.
@@ -90,6 +92,7 @@ impl EstimatorSupervisor {
             last_trusted: None,
             learned_noise: None,
             learned_wheels: None,
+            map_knowledge: MapKnowledge::default(),
             wheel_readings: VecDeque::new(),
             before: SensorReports::default(),
             bad_initializations: 0,
@@ -114,6 +117,14 @@ impl EstimatorSupervisor {
         match &self.phase {
             Phase::Running(estimator) => Some(estimator),
             Phase::Initializing(_) => None,
+        }
+    }
+
+    /// Time of the last row of a frame on the clock of the IMU, nanoseconds: up to there readings are needed.
+    pub fn last_row_ns(&self, frame_ns: i64) -> i64 {
+        match &self.phase {
+            Phase::Running(estimator) => estimator.last_row_ns(frame_ns),
+            Phase::Initializing(_) => self.config.imu_stamp_ns(frame_ns),
         }
     }
 
@@ -210,6 +221,7 @@ impl EstimatorSupervisor {
         if let Some(learned) = &self.learned_wheels {
             estimator.resume_wheels(learned);
         }
+        estimator.resume_map(&self.map_knowledge);
         estimator.resume_counts(self.before.gnss, self.before.wheels.as_ref().map(|report| report.counts));
         for reading in initializer.readings_for(&initial) {
             match estimator.imu(*reading) {
@@ -284,6 +296,7 @@ impl EstimatorSupervisor {
         initializer.discard_rest();
         if let Phase::Running(estimator) = &self.phase {
             self.before = SensorReports::of(estimator);
+            self.map_knowledge = estimator.map_knowledge();
         }
         self.phase = Phase::Initializing(Box::new(initializer));
         self.divergence = Some(why.to_string());

@@ -21,9 +21,10 @@ use map::MapMetadata;
 ///
 /// # Errors
 /// [`ReleaseError::NoCandidate`], [`ReleaseError::Overtaken`] where another release came since, [`ReleaseError::Decided`] where it was
-/// rejected, [`ReleaseError::Conflict`], [`ReleaseError::Cleaning`], [`ReleaseError::Store`].
+/// rejected, [`ReleaseError::SourceNotSigned`] where the store signs and the candidate is not signed with its key,
+/// [`ReleaseError::Conflict`], [`ReleaseError::Cleaning`], [`ReleaseError::Store`].
 pub async fn promote(store: &ReleaseStore, candidate: u64, note: &Note) -> Result<Release, ReleaseError> {
-    let proposed = store.candidate(candidate).await?;
+    let proposed = store.candidate_to_sign(candidate).await?;
     let newest = store.newest().await?;
     if let Some(live) = newest.as_ref().filter(|newest| newest.candidate == Some(candidate)) {
         return Ok(live.clone());

@@ -147,6 +147,22 @@ pub enum ReleaseError {
         /// What is wrong with its signature.
         reason: SignatureError,
     },
+    /// What would be signed anew was not signed with that key before; nothing is published.
+    #[error(
+        "{object} of {place} is not signed with the key that would sign it anew: {reason}; nothing was published. If \
+         you know who published it, take its map (driftless checkout {place}@{choice} --map DB), look at it, and \
+         publish it with --sign"
+    )]
+    SourceNotSigned {
+        /// The store.
+        place: String,
+        /// The file of the release or candidate.
+        object: String,
+        /// Which one, as it is named after the `@` of a place.
+        choice: String,
+        /// What is wrong with its signature.
+        reason: SignatureError,
+    },
     /// A release cannot be signed; it is not published.
     #[cfg(feature = "signing")]
     #[error("{object} cannot be signed: {source}")]

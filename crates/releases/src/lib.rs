@@ -20,6 +20,7 @@
 //! | [`coarse`] | what tells from afar of which cells an image could be |
 //! | [`change`] | what changed from one release to the next |
 //! | [`release`] | what a release is |
+//! | `signing_key` (feature `signing`) | keys that sign releases, with their public halves |
 //! | [`stage`] | what is live and what is proposed; who did it and why |
 //! | [`candidates`] | promoting and rejecting what is proposed |
 //! | [`place`] | which release of which store, in one word |
@@ -32,7 +33,8 @@
 //!
 //! What is signed (crate `signing`) are the bytes of a release's file, which names the SHA-256 of every segment, its own number and
 //! its stage: who can write to the store but has no key can take releases away, and cannot make or change one, nor make a candidate
-//! live. A decision about a candidate is signed too, and names the digest of its map.
+//! live. Whoever promotes or rolls back with a key signs only what was signed with it before. A decision about a
+//! candidate is signed too, and names the digest of its map.
 //!
 //! # Example
 //! ```
@@ -70,6 +72,8 @@ pub mod partition;
 pub mod place;
 pub mod publish;
 pub mod release;
+#[cfg(feature = "signing")]
+mod signing_key;
 pub mod source;
 pub mod stage;
 pub mod store;
@@ -88,8 +92,10 @@ pub use place::{ReleaseChoice, ReleaseChoiceError, ReleasePlace};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
 pub use release::{Release, ReleaseDifference, ReleasedCell, ServedCell};
 #[cfg(feature = "signing")]
-pub use signing::{KeyError, SecretKey as SigningKey};
+pub use signing::KeyError;
 pub use signing::{PublicKey as ReleaseKey, PublicKeyError as ReleaseKeyError, SignatureError};
+#[cfg(feature = "signing")]
+pub use signing_key::SigningKey;
 pub use source::ReleaseSource;
 pub use stage::{CandidateState, Decision, Note, Stage, Verdict};
 pub use store::ReleaseStore;

@@ -211,9 +211,10 @@ fn ensure_keeps_sessions(
 /// Its segments are put again: [`clean`](crate::clean()) removes what only former releases name, and spares what was put just now.
 ///
 /// # Errors
-/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
+/// [`ReleaseError::NoRelease`], [`ReleaseError::SourceNotSigned`] where the store signs and the former release is not
+/// signed with its key, [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
 pub async fn roll_back(store: &ReleaseStore, number: u64, note: &Note) -> Result<Outcome, ReleaseError> {
-    let former = store.release(number).await?;
+    let former = store.release_to_sign(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
     if newest.digest == former.digest {
         return Ok(Outcome::Unchanged { number: newest.number });

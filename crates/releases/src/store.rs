@@ -4,6 +4,8 @@ use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::error::ReleaseError;
 use crate::release::Release;
+#[cfg(feature = "signing")]
+use crate::signing_key::SigningKey;
 use crate::stage::Decision;
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
@@ -13,8 +15,6 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
 use serde::Serialize;
-#[cfg(feature = "signing")]
-use signing::SecretKey as SigningKey;
 use signing::{PublicKey as ReleaseKey, SignatureError};
 use std::sync::Arc;
 use url::Url;
@@ -176,6 +176,46 @@ impl ReleaseStore {
         let missing = || ReleaseError::NoCandidate { place: self.place.clone(), candidate: Some(number) };
         let text = self.read_signed(&object).await?.ok_or_else(missing)?;
         Release::decode_candidate(&text, number).map_err(|reason| self.damaged(object, reason))
+    }
+
+    /// A release whose map is put under this store's signature again.
+    ///
+    /// # Errors
+    /// As [`ReleaseStore::release`], and [`ReleaseError::SourceNotSigned`] where there is a key to sign with that did
+    /// not sign it.
+    pub(crate) async fn release_to_sign(&self, number: u64) -> Result<Release, ReleaseError> {
+        let read = self.trusting_own_key().release(number).await;
+        read.map_err(|error| self.of_source(error, number.to_string()))
+    }
+
+    /// A candidate that is put under this store's signature as a release.
+    ///
+    /// # Errors
+    /// As [`ReleaseStore::candidate`], and [`ReleaseError::SourceNotSigned`] where there is a key to sign with that did
+    /// not sign it.
+    pub(crate) async fn candidate_to_sign(&self, number: u64) -> Result<Release, ReleaseError> {
+        let read = self.trusting_own_key().candidate(number).await;
+        read.map_err(|error| self.of_source(error, format!("candidate-{number}")))
+    }
+
+    /// The same store, of which only what its own key signed is read, unless it verifies with another key or signs
+    /// nothing.
+    fn trusting_own_key(&self) -> Self {
+        #[cfg(feature = "signing")]
+        if let (None, Some(signing)) = (&self.key, &self.signing) {
+            return self.clone().signed_with(signing.public().clone());
+        }
+        self.clone()
+    }
+
+    /// An error of reading what is signed anew, of which `choice` is the word after `@`.
+    fn of_source(&self, error: ReleaseError, choice: String) -> ReleaseError {
+        match error {
+            ReleaseError::NotSigned { place, object, reason } if self.key.is_none() => {
+                ReleaseError::SourceNotSigned { place, object, choice, reason }
+            }
+            error => error,
+        }
     }
 
     /// What was decided about a candidate; `None` where nothing was.

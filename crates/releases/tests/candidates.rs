@@ -233,6 +233,45 @@ async fn without_the_key_no_candidate_is_made_live_and_none_is_rejected() {
     assert_eq!(verifying.newest().await.unwrap().unwrap(), promoted);
 }
 
+#[cfg(feature = "signing")]
+#[tokio::test]
+async fn nothing_is_signed_anew_that_the_key_did_not_sign_before() {
+    use releases::SigningKey;
+
+    let keys = tempfile::tempdir().unwrap();
+    let (folder, store) = scratch();
+    let [ours, theirs] = ["ours", "theirs"].map(|name| {
+        let file = keys.path().join(name);
+        SigningKey::generate(&file).unwrap();
+        store.clone().signing_with(SigningKey::read(&file, None).unwrap())
+    });
+    put(&store, place(), Stage::Live).await;
+    put(&theirs, without_the_last(1), Stage::Live).await;
+    let signed = put(&ours, without_the_last(2), Stage::Live).await;
+    put(&store, without_the_last(3), Stage::Candidate).await;
+    put(&theirs, without_the_last(3), Stage::Candidate).await;
+    let nobody = Note::default();
+    for (refused, choice) in [
+        (promote(&ours, 1, &nobody).await.map(drop), "@candidate-1 "),
+        (promote(&ours, 2, &nobody).await.map(drop), "@candidate-2 "),
+        (roll_back(&ours, 1, &nobody).await.map(drop), "@1 "),
+        (roll_back(&ours, 2, &nobody).await.map(drop), "@2 "),
+    ] {
+        let error = refused.unwrap_err();
+        assert!(matches!(error, ReleaseError::SourceNotSigned { .. }), "{error}");
+        let said = error.to_string();
+        assert!(said.contains(choice) && said.contains("publish it with --sign"), "{said}");
+    }
+    assert_eq!(store.newest().await.unwrap(), Some(signed));
+    assert!(!folder.path().join("decisions").exists(), "nothing was decided");
+    // What nobody signs is promoted as before, and what the key signed is, too.
+    assert_eq!(promote(&store, 1, &nobody).await.unwrap().number, 4);
+    let back = roll_back(&ours, 3, &nobody).await.unwrap();
+    assert!(matches!(back, Outcome::Published(_)), "{back:?}");
+    let proposed = put(&ours, without_the_last(1), Stage::Candidate).await;
+    assert_eq!(promote(&ours, 3, &nobody).await.unwrap().digest, proposed.digest);
+}
+
 #[test]
 fn a_choice_is_read_as_it_is_written() {
     for choice in [

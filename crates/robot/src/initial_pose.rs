@@ -233,6 +233,7 @@ impl InitialPoseSearch {
                 tracing::warn!(
                     "the map has neither confirmed nor refuted the operator's pose; it is forgotten"
                 );
+                estimator.forget_expected_pose();
                 self.stage = Stage::None;
             }
             _ => {}
@@ -251,7 +252,7 @@ impl InitialPoseSearch {
     ///
     /// # Arguments
     /// * `stamp_ns`: of the image, nanoseconds. One from before the pose was set decides nothing.
-    pub(crate) fn answered(&mut self, estimator: &Estimator, image: QueryImage, stamp_ns: i64) {
+    pub(crate) fn answered(&mut self, estimator: &mut Estimator, image: QueryImage, stamp_ns: i64) {
         let Stage::Searched(prior) = &self.stage else { return };
         if stamp_ns < prior.stamp_ns {
             return;
@@ -270,6 +271,7 @@ impl InitialPoseSearch {
                 "the map puts the robot {metres:.1} m and {degrees:.0} deg from the operator's pose, which is forgotten"
             );
         }
+        estimator.forget_expected_pose();
         self.stage = Stage::None;
     }
 

@@ -278,7 +278,7 @@ impl<'a> Robot<'a> {
 
     /// The time of the last row of a frame on the clock of the IMU, nanoseconds. The frame came after it was taken.
     fn last_row_ns(&self, frame_ns: i64) -> i64 {
-        self.supervisor.estimator().map_or(frame_ns, |estimator| estimator.last_row_ns(frame_ns))
+        self.supervisor.last_row_ns(frame_ns)
     }
 
     /// Drops readings that neither the front end nor a new initialization needs.

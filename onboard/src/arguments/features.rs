@@ -12,6 +12,9 @@ const HEADING: &str = "Image features";
 /// Most extractors at once: that many images, and a little more, are in memory.
 const MAX_EXTRACTORS: usize = 8;
 
+/// Most features of an image where nothing else is said.
+pub const DEFAULT_MAX_FEATURES: usize = 1000;
+
 /// Which features of images are matched with the map's.
 #[derive(clap::Args, Clone, Debug)]
 pub struct FeatureArguments {
@@ -23,7 +26,7 @@ pub struct FeatureArguments {
     #[arg(long, value_name = "DIR", help_heading = HEADING)]
     pub weights: Option<PathBuf>,
     /// Maximum number of features per image
-    #[arg(long, value_name = "N", default_value_t = 1000, help_heading = HEADING)]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_FEATURES, help_heading = HEADING)]
     pub max_features: usize,
     /// Image that is black (zero) where camera 0 sees the robot itself; of several cameras one each, separated by commas, in their
     /// order, with nothing between the commas for a camera without a mask
@@ -39,6 +42,17 @@ impl FeatureArguments {
     pub fn or_of_map(&self, extractor: &str) -> Self {
         let of_map = Some(extractor).filter(|name| !name.is_empty()).map(str::to_owned);
         Self { extractor: self.extractor.clone().or(of_map), ..self.clone() }
+    }
+
+    /// The switches that differ from their defaults, of which a command without images makes nothing.
+    pub fn given(&self) -> Vec<&'static str> {
+        let switches = [
+            ("--extractor", self.extractor.is_some()),
+            ("--weights", self.weights.is_some()),
+            ("--max-features", self.max_features != DEFAULT_MAX_FEATURES),
+            ("--mask", !self.mask.is_empty()),
+        ];
+        switches.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
     /// Opens the extractor for the images of a map.
@@ -121,6 +135,14 @@ mod tests {
         assert_eq!(name(&silent.or_of_map("edgepoint2-1")), "edgepoint2-1");
         assert_eq!(name(&silent.or_of_map("")), DEFAULT_EXTRACTOR);
         assert_eq!(name(&silent), DEFAULT_EXTRACTOR);
+    }
+
+    #[test]
+    fn switches_that_were_given_are_known() {
+        let given = |line: &str| Program::parse_from(line.split(' ')).features.given();
+        assert_eq!(given("program --max-features 1000"), [""; 0]);
+        assert_eq!(given("program --weights w --max-features 300"), ["--weights", "--max-features"]);
+        assert_eq!(given("program --mask hood.png --extractor sift-1"), ["--extractor", "--mask"]);
     }
 
     #[test]

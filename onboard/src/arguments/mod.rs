@@ -15,7 +15,7 @@ mod wheels;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
-pub use features::{FeatureArguments, mask_path, read_masks};
+pub use features::{DEFAULT_MAX_FEATURES, FeatureArguments, mask_path, read_masks};
 pub use gnss::GnssArguments;
 pub use hand_in::HandInArguments;
 pub use imu_in_base_link::ImuInBaseLink;
@@ -26,14 +26,14 @@ pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
 pub use wheels::WheelArguments;
 
-use super::outputs::{RobotMetrics, RosBody, RosOutput};
+use super::outputs::{BaseMount, RobotMetrics, RosBody, RosOutput};
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
 use nalgebra::Vector3;
 use robot::estimator_config;
 use robot::initial_pose::InitialPoses;
-use sensors::{Contents, SensorCalibration};
+use sensors::{CalibrationFiles, Contents, Recording, SensorCalibration};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -214,6 +214,28 @@ impl RobotArguments {
         Ok(Defaults::try_parse_from(line)?.robot)
     }
 
+    /// What a recording that the robot is run on does not say of itself: calibration files and topics, those of wheels
+    /// and GNSS included.
+    ///
+    /// # Errors
+    /// Joints, counts or an origin that cannot be.
+    pub fn recording_files(&self, calibration: &CalibrationArguments) -> Result<CalibrationFiles> {
+        let mut files = calibration.files();
+        self.wheels.name_topic(&mut files)?;
+        self.gnss.name_topic(&mut files)?;
+        Ok(files)
+    }
+
+    /// Puts the robot's frame where the switch says, else where the transforms of a recording say; without either it
+    /// stays.
+    pub fn mount_as_in(&mut self, recording: &Recording<'_>) {
+        let given = self.imu_in_base_link.map(ImuInBaseLink::imu_from_base);
+        let stated = given.or_else(|| recording.imu_from_base(&self.body.frames.base_link));
+        if let Some(imu_from_base) = stated {
+            self.body.mount = BaseMount::known(imu_from_base);
+        }
+    }
+
     /// How many bytes the output folder may have; `None` without a limit.
     pub(crate) fn out_limit(&self, is_live: bool) -> Option<u64> {
         let megabytes = self.out_limit_mb.or(is_live.then_some(LIVE_OUT_LIMIT_MB));
@@ -333,7 +355,7 @@ impl RobotArguments {
 mod tests {
     use super::*;
     use estimator::ImuNoise;
-    use sensors::ImuSensor;
+    use sensors::{ImuSensor, Sequence};
 
     /// Sensors whose calibration states the local gravity.
     fn calibration() -> SensorCalibration {
@@ -366,5 +388,52 @@ mod tests {
         assert_eq!(settled(Some("window: 9"), None), (9.79, MapMode::Multi));
         assert_eq!(settled(Some("gravity: 9.83\nmode: single"), None), (9.83, MapMode::Single));
         assert_eq!(settled(Some("mode: single"), Some(Mode::Mapconst)), (9.79, MapMode::MapConst));
+    }
+
+    #[test]
+    fn the_files_of_a_recording_have_the_topics_of_wheels_and_gnss() {
+        #[derive(Parser)]
+        struct Line {
+            #[command(flatten)]
+            robot: RobotArguments,
+            #[command(flatten)]
+            calibration: CalibrationArguments,
+        }
+        let files = |line: &str| {
+            let line = ["robot --out out", line].join(" ");
+            let Line { robot, calibration } = Line::try_parse_from(line.split(' ')).unwrap();
+            robot.recording_files(&calibration)
+        };
+        let (wheels, gnss) =
+            ("--wheel-topic /w --wheel-joints l,r", "--gnss-topic /fix --gnss-origin 47,8,400");
+        let named = files(&format!("--imu-topic /imu {wheels} {gnss}")).unwrap();
+        assert_eq!(named.topics().collect::<Vec<_>>(), ["/imu", "/w", "/fix"]);
+        assert_eq!(named.wheel_joints, ["l", "r"]);
+        assert_eq!(named.gnss_origin.map(|origin| origin.longitude_deg), Some(8.0));
+        assert!(files("--wheel-topic /w --wheel-joints l,r,s").is_err());
+    }
+
+    #[test]
+    fn the_robot_is_mounted_as_the_switch_says_and_stays_where_nothing_does() {
+        let recording = Sequence {
+            root: PathBuf::new(),
+            imu: None,
+            imu_samples: Vec::new(),
+            wheels: None,
+            wheel_readings: Vec::new(),
+            gnss: None,
+            gnss_readings: Vec::new(),
+            cameras: Vec::new(),
+            frames: Vec::new(),
+            groundtruth: None,
+            reference_poses: None,
+        };
+        let mut robot = RobotArguments::with_defaults(Path::new("out")).unwrap();
+        let before = robot.body.mount.imu_from_base();
+        robot.mount_as_in(&Recording::from(&recording));
+        assert_eq!(robot.body.mount.imu_from_base(), before);
+        robot.imu_in_base_link = Some("0.5,0,0,0,0,0".parse().unwrap());
+        robot.mount_as_in(&Recording::from(&recording));
+        assert_eq!(robot.body.mount.imu_from_base().translation, Vector3::new(-0.5, 0.0, 0.0));
     }
 }

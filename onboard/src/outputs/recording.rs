@@ -217,11 +217,34 @@ impl Output for MessageRecording {
     }
 }
 
-/// The path itself, or one beside it that does not exist.
+/// The path itself, or one beside it that does not exist. What is behind the last dot of the name stays its end.
 fn unused(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
-    let numbered = |number: u32| path.with_file_name(format!("{stem}_{number}")).with_extension(&extension);
+    let extension = path.extension().map_or_else(String::new, |end| format!(".{}", end.to_string_lossy()));
+    let numbered = |number: u32| path.with_file_name(format!("{stem}_{number}{extension}"));
     let candidates = std::iter::once(path.to_path_buf()).chain((2..).map(numbered));
     candidates.into_iter().find(|candidate| !candidate.exists()).unwrap_or_else(|| path.to_path_buf())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_is_taken_gets_a_number_before_its_end_whatever_dots_it_has() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, second, third) in [
+            ("drive.mcap", "drive_2.mcap", "drive_3.mcap"),
+            ("2026.11.30.mcap", "2026.11.30_2.mcap", "2026.11.30_3.mcap"),
+            ("robot.v1.5.mcap", "robot.v1.5_2.mcap", "robot.v1.5_3.mcap"),
+            ("drive", "drive_2", "drive_3"),
+        ] {
+            let path = folder.path().join(name);
+            for expected in [name, second, third] {
+                let found = unused(&path);
+                assert_eq!(found, folder.path().join(expected));
+                std::fs::write(found, "").unwrap();
+            }
+        }
+    }
 }

@@ -10,7 +10,7 @@ const BAGS: [&str; 3] = ["bag", "mcap", "db3"];
 const DEPTH: usize = 2;
 
 /// The recordings in a folder by name: folders in the layout of EuRoC or of 4Seasons, bags and folders of rosbag2. A name is a path relative to the
-/// folder, without the ending of a bag.
+/// folder, without the ending of a bag unless another recording has that name.
 ///
 /// # Errors
 /// A folder that cannot be listed, or holds no recording.
@@ -18,27 +18,46 @@ pub fn recordings(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
     if is_recording(folder) {
         bail!("{} is one recording: name the folder that holds those of the dataset", folder.display());
     }
-    let mut found = BTreeMap::new();
-    collect(folder, folder, DEPTH, &mut found)?;
+    let mut found = Vec::new();
+    collect(folder, DEPTH, &mut found)?;
     if found.is_empty() {
         bail!(
             "{} holds no recording: looked for folders with mav0/, metadata.yaml or times.txt (4Seasons), and for .bag and .mcap",
             folder.display()
         );
     }
-    Ok(found)
+    Ok(named(folder, found))
 }
 
-fn collect(root: &Path, folder: &Path, depth: usize, found: &mut BTreeMap<String, PathBuf>) -> Result<()> {
+/// Recordings by name.
+fn named(root: &Path, paths: Vec<PathBuf>) -> BTreeMap<String, PathBuf> {
+    /// A recording's path in the dataset, with and without the ending of a bag.
+    struct Name {
+        whole: String,
+        short: String,
+    }
+    let name = |path: &PathBuf| {
+        let whole = path.strip_prefix(root).unwrap_or(path);
+        let short = if path.is_dir() { whole.to_owned() } else { whole.with_extension("") };
+        Name { whole: whole.display().to_string(), short: short.display().to_string() }
+    };
+    let names: Vec<Name> = paths.iter().map(name).collect();
+    let is_taken = |of: &Name| {
+        let is_other = |other: &&Name| other.whole != of.whole;
+        names.iter().filter(is_other).any(|other| other.short == of.short || other.whole == of.short)
+    };
+    let chosen = |of: &Name| if is_taken(of) { of.whole.clone() } else { of.short.clone() };
+    names.iter().map(chosen).zip(paths).collect()
+}
+
+fn collect(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<()> {
     let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
     for entry in entries {
         let path = entry.with_context(|| folder.display().to_string())?.path();
         if is_recording(&path) {
-            let relative = path.strip_prefix(root).unwrap_or(&path);
-            let name = if path.is_dir() { relative.to_owned() } else { relative.with_extension("") };
-            found.insert(name.display().to_string(), path);
+            found.push(path);
         } else if depth > 1 && path.is_dir() {
-            collect(root, &path, depth - 1, found)?;
+            collect(&path, depth - 1, found)?;
         }
     }
     Ok(())
@@ -77,5 +96,23 @@ mod tests {
         assert!(one.contains("is one recording"), "{one}");
         let none = recordings(&at("MH_02/mav0")).unwrap_err().to_string();
         assert!(none.contains("holds no recording"), "{none}");
+    }
+
+    #[test]
+    fn recordings_of_one_stem_have_two_names_in_whatever_order_they_are_listed() {
+        let dataset = tempfile::tempdir().unwrap();
+        let at = |path: &str| dataset.path().join(path);
+        std::fs::create_dir_all(at("MH_03/mav0")).unwrap();
+        let files = ["MH_03.mcap", "lab.bag", "lab.mcap", "lab.bag.db3", "yard.bag"];
+        for file in files {
+            std::fs::write(at(file), "").unwrap();
+        }
+        let found = recordings(dataset.path()).unwrap();
+        let names: Vec<&str> = found.keys().map(String::as_str).collect();
+        assert_eq!(names, ["MH_03", "MH_03.mcap", "lab.bag", "lab.bag.db3", "lab.mcap", "yard"]);
+        assert!(found.iter().all(|(name, path)| *path == at(name) || name == "yard"), "{found:?}");
+        let mut paths: Vec<PathBuf> = found.values().cloned().collect();
+        paths.reverse();
+        assert_eq!(named(dataset.path(), paths), found);
     }
 }

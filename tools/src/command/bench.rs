@@ -4,6 +4,7 @@ use super::build_map;
 use crate::benchmark::{
     BenchmarkReport, LocalizedRecording, MapFigures, in_frame_of_truth, localize, recordings,
 };
+use crate::own_map::is_replaceable;
 use crate::stage_bar::StageBar;
 use anyhow::{Context as _, Result, bail};
 use map::store::MapTarget;
@@ -15,6 +16,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
+
+/// What made the map, as it states it: another one in its place is not replaced.
+const CREATED_BY: &str = "driftless bench";
 
 /// Arguments.
 #[derive(clap::Args, Debug)]
@@ -49,15 +53,18 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A folder without two recordings, a name that is none of theirs, a recording that cannot be mapped; after all others one that cannot
+/// A folder without two recordings, a name that is none of theirs, another map in the folder of the results, a
+/// recording that cannot be mapped; after all others one that cannot
 /// be run.
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
     let all = recordings(&args.dataset)?;
     let (mapped, localized) = choose(&all, args)?;
-    let out = &args.robot.out;
+    let files = args.robot.recording_files(&args.calibration)?;
+    let (out, database) = (&args.robot.out, args.robot.out.join("map.db"));
+    is_replaceable(&database, CREATED_BY)?;
     std::fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
-    let (map, figures) = build(args, mapped, &all[mapped], &out.join("map.db"))?;
+    let (map, figures) = build(args, mapped, &all[mapped], &database)?;
     let mut report = BenchmarkReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         dataset: args.dataset.clone(),
@@ -70,7 +77,6 @@ pub fn run(args: &Args) -> Result<()> {
         }
         let mut robot = args.robot.clone();
         robot.out = out.join(name);
-        let files = args.calibration.files();
         let bar = progress::frame_bar(None);
         bar.set_prefix(name.to_owned());
         let result =
@@ -138,7 +144,8 @@ fn build(args: &Args, name: &str, recording: &Path, database: &Path) -> Result<(
         build_map::Args::without_poses(recording, database, &args.calibration, &args.robot.features)?;
     let mut bar = StageBar::new(args.json);
     let built = build_map::build(&settings, None, &mut |stage, done, all| bar.show(stage, done, all));
-    let (contents, _) = built.with_context(|| format!("{name} cannot be mapped"))?;
+    let (mut contents, _) = built.with_context(|| format!("{name} cannot be mapped"))?;
+    contents.info.created_by = CREATED_BY.to_owned();
     bar.finish();
     let seconds = begin.elapsed().as_secs_f64();
     let recording = Recording::open_with(recording, &args.calibration.files())?;

@@ -243,6 +243,9 @@ pub(crate) fn build(
     let start = Instant::now();
     let cameras = if args.mono { 1 } else { sequence.cameras.len() };
     let from_images = sequence.has_images() && !sequence.has_features();
+    if !from_images {
+        check_images_wanted(args)?;
+    }
     let features = args.features.or_of_map(stored.map_or("", |map| &map.info.extractor));
     let mut extractors = if from_images { features.open_several()? } else { Vec::new() };
     let masks = args.features.read_masks()?;
@@ -400,6 +403,20 @@ fn check_unused(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Refuses switches about images where none are looked at.
+fn check_images_wanted(args: &Args) -> anyhow::Result<()> {
+    let given = args.features.given();
+    if !given.is_empty() {
+        bail!(
+            "{}: this is about features of images, and those of {} were extracted before, or it has no images: leave \
+             it out",
+            given.join(", "),
+            args.recording.display()
+        );
+    }
+    Ok(())
+}
+
 fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     check_sigma_theta(args.sigma_theta)?;
     let [from_s, until_s] = [args.from.unwrap_or(0.0), args.until.unwrap_or(f64::INFINITY)];
@@ -450,6 +467,13 @@ mod tests {
         let error = options(&args("--sigma-theta 5")).unwrap_err().to_string();
         assert!(error.contains("radians") && error.contains("5 degrees are 0.087"), "{error}");
         assert!(options(&args("--sigma-theta 0.087")).is_ok());
+    }
+
+    #[test]
+    fn switches_about_images_are_refused_where_none_are_looked_at() {
+        check_images_wanted(&args("--min-distance 0.3")).unwrap();
+        let error = check_images_wanted(&args("--mask hood.png --max-features 500")).unwrap_err().to_string();
+        assert!(error.starts_with("--max-features, --mask: ") && error.contains("of REC"), "{error}");
     }
 
     #[test]

@@ -20,7 +20,8 @@ use serde::Serialize;
     driftless edit-map --map town.db --remove-time 1403636579000000000,1403636650000000000\n  \
     driftless edit-map --map town.db --drop-images\n\n\
     DB becomes its next version, and a server is told as after a build. What stays keeps its ids, poses and covariances:\n\
-    robots stay localized. What several switches choose is taken out together; --thin then looks at what is left.")]
+    robots stay localized. What several switches choose is taken out together; --thin then looks at what is left. A\n\
+    switch that chooses nothing is an error, but for --thin beside others.")]
 pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
@@ -87,7 +88,8 @@ struct Report {
 /// Runs the command.
 ///
 /// # Errors
-/// A map that cannot be read or written, an edit that takes out nothing or every keyframe.
+/// A map that cannot be read or written, a switch that chooses nothing, an edit that takes out nothing, every keyframe
+/// or every landmark.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(share) = args.thin.filter(|share| !(0.0..=1.0).contains(share)) {
         bail!("--thin {share}: give a part from 0 to 1, for example 0.9");
@@ -100,11 +102,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let redundant = args.thin.map(|share| redundant_keyframes(&contents, share)).unwrap_or_default();
     remove_keyframes(&mut contents, &redundant);
     if let Some(region) = &args.crop_landmarks {
+        let count = |contents: &MapContents| -> usize {
+            let added = contents.added_features.iter().map(|added| added.landmarks.len());
+            contents.landmarks.len() + added.sum::<usize>()
+        };
+        let all = count(&contents);
         retain_landmarks(&mut contents, |position| region.contains(position));
+        ensure_chosen(args, "--crop-landmarks", count(&contents) < all, "every landmark is in that box")?;
     }
     drop_parts(args, &mut contents)?;
     if contents.keyframes.is_empty() {
         bail!("no keyframe would be left: remove the database instead");
+    }
+    if contents.landmarks.is_empty() && !before.landmarks.is_empty() {
+        bail!(
+            "no landmark would be left, and nobody could be localized: choose less, or remove the database instead"
+        );
     }
     if contents == before {
         bail!(
@@ -140,6 +153,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 /// Takes out images, and features of an added kind.
 fn drop_parts(args: &Args, contents: &mut MapContents) -> anyhow::Result<()> {
     if args.drop_images {
+        ensure_chosen(args, "--drop-images", !contents.images.is_empty(), "the map has no images")?;
         contents.images.clear();
     }
     let Some(name) = &args.drop_features else { return Ok(()) };
@@ -169,15 +183,29 @@ fn chosen(args: &Args, contents: &MapContents) -> anyhow::Result<BTreeSet<u64>> 
         chosen.extend(of_range);
     }
     if let Some(region) = &args.remove_box {
-        chosen.extend(keyframes_where(contents, |keyframe| {
+        let inside = keyframes_where(contents, |keyframe| {
             region.contains(&keyframe.global_from_keyframe.pose.translation)
-        }));
+        });
+        ensure_chosen(args, "--remove-box", !inside.is_empty(), "no keyframe is in that box")?;
+        chosen.extend(inside);
     }
     if let Some([from_ns, until_ns]) = args.remove_time {
-        chosen
-            .extend(keyframes_where(contents, |keyframe| (from_ns..=until_ns).contains(&keyframe.stamp_ns)));
+        let within = keyframes_where(contents, |keyframe| (from_ns..=until_ns).contains(&keyframe.stamp_ns));
+        ensure_chosen(args, "--remove-time", !within.is_empty(), "no keyframe was taken then")?;
+        chosen.extend(within);
     }
     Ok(chosen)
+}
+
+/// Refuses a switch that chooses nothing of the map, like a box in another frame.
+fn ensure_chosen(args: &Args, switch: &str, is_chosen: bool, found: &str) -> anyhow::Result<()> {
+    if !is_chosen {
+        bail!(
+            "{switch}: {found} (`driftless map-info --map {}` prints extent and times of the map)",
+            args.map.display()
+        );
+    }
+    Ok(())
 }
 
 fn counts(contents: &MapContents) -> Counts {

@@ -4,7 +4,7 @@ use crate::server_query::ServerArguments;
 use crate::session_files;
 use anyhow::{Context as _, bail, ensure};
 use client::SessionUpload;
-use hand_in::inbox::digest_of;
+use hand_in::inbox::{digest_of, is_in_inbox};
 use hand_in::{Inbox, InboxSettings, Session};
 use indicatif::ProgressBar;
 use protocol::{MAX_SESSION_BYTES, MAX_SESSION_PART_BYTES, SessionPart};
@@ -37,7 +37,7 @@ pub struct Args {
     /// Kilobits a second to send at most
     #[arg(long, value_name = "KBIT/S", default_value_t = 90.0)]
     rate: f64,
-    /// Remove each file once it is on the disk of the server
+    /// Remove each file once it is on the disk of the server; one that lies in an inbox itself stays
     #[arg(long)]
     remove: bool,
     /// Where the server is; --timeout is that of a part
@@ -96,6 +96,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn hand_in_file(args: &Args, path: &Path) -> anyhow::Result<HandedIn> {
     let in_file = || format!("{}", path.display());
+    if let Some(folder) = &args.inbox {
+        refuse_own_file(path, folder)?;
+    }
     let bytes = files::read(path, MAX_SESSION_BYTES).with_context(in_file)?;
     let robot = Session::of_bytes(path, &bytes)?.header.robot;
     match (&args.map, &args.inbox) {
@@ -103,10 +106,32 @@ fn hand_in_file(args: &Args, path: &Path) -> anyhow::Result<HandedIn> {
         (Some(map), None) => send(args, map, &robot, &bytes).with_context(in_file)?,
         (None, None) => bail!("--map NAME or --inbox DIR is missing"),
     }
-    if args.remove {
+    // Which folder a server has its inbox in is not known here. A file that --inbox takes from another inbox is moved.
+    let stays = args.inbox.is_none() && is_in_inbox(path, &robot, &bytes);
+    if args.remove && stays {
+        eprintln!(
+            "warning: {} is the file of an inbox, maybe of this server, and is not removed",
+            path.display()
+        );
+    }
+    let removed = args.remove && !stays;
+    if removed {
         std::fs::remove_file(path).with_context(in_file)?;
     }
-    Ok(HandedIn { file: path.to_owned(), robot, bytes: bytes.len(), removed: args.remove })
+    Ok(HandedIn { file: path.to_owned(), robot, bytes: bytes.len(), removed })
+}
+
+/// Refuses a file that lies in the inbox already: removed after it was found there, it would be gone.
+fn refuse_own_file(path: &Path, inbox: &Path) -> anyhow::Result<()> {
+    // An inbox or a file that is not there has nothing in common with the other.
+    let Some((file, folder)) = path.canonicalize().ok().zip(inbox.canonicalize().ok()) else { return Ok(()) };
+    ensure!(
+        !file.starts_with(&folder),
+        "{} lies in the inbox {} itself: hand in the files of another folder",
+        path.display(),
+        inbox.display()
+    );
+    Ok(())
 }
 
 /// Sends a file to a map server.

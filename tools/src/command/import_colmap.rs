@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use map::store::MapTarget;
 use map_io::colmap::{ColmapModel, read_model};
-use mapping::{ColmapFrame, Extraction, import_colmap};
+use mapping::{ColmapFrame, Extraction, import_colmap, stamp_images};
 use nalgebra::Vector3;
-use onboard::arguments::FeatureArguments;
-use sensors::{CalibrationFiles, Sequence};
+use onboard::arguments::{DEFAULT_MAX_FEATURES, FeatureArguments};
+use sensors::{CalibrationFiles, Recording, Sequence};
 use serde_json::json;
 use vision::GrayImage;
 
@@ -43,15 +43,22 @@ pub struct Args {
     #[arg(long, value_name = "M")]
     pub scale: Option<f64>,
     /// Standard deviation of --scale, relative
-    #[arg(long, value_name = "PART", default_value_t = 0.01)]
+    #[arg(long, value_name = "PART", default_value_t = 0.01, requires = "scale")]
     pub sigma_scale: f64,
     /// Direction in which gravity points in the model's frame, for example 0,1,0; the map has z up [default: by the IMU of the
     /// recording]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     pub gravity: Option<Vector3<f64>>,
-    /// How features are extracted from images
-    #[command(flatten)]
-    pub features: FeatureArguments,
+    /// Extractor of features for place recognition: sift-1, edgepoint2-1 (learned), or one with weights to fetch (see
+    /// `driftless weights`) [default: sift-1]
+    #[arg(long, value_name = "NAME")]
+    pub extractor: Option<String>,
+    /// Folder with the weights of learned extractors [default: where `driftless weights` puts them]
+    #[arg(long, value_name = "DIR")]
+    pub weights: Option<PathBuf>,
+    /// Maximum number of features per image
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_FEATURES)]
+    pub max_features: usize,
     /// Replace an existing map: the new one is its next version, with the same identity
     #[arg(long)]
     pub force: bool,
@@ -67,13 +74,20 @@ pub struct Args {
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     let target = MapTarget::new(&args.map, args.force)?;
-    let model = read_model(&args.model)?;
-    let frame = frame(&args, &model)?;
-    let mut extractor = args.features.open()?;
+    let mut model = read_model(&args.model)?;
+    let frame = frame(&args, &mut model)?;
+    let features = FeatureArguments {
+        extractor: args.extractor.clone(),
+        weights: args.weights.clone(),
+        max_features: args.max_features,
+        // Of a robot that sees itself. The pixels are those that the model has.
+        mask: Vec::new(),
+    };
+    let mut extractor = features.open()?;
     let mut extraction = Extraction {
         extractor: extractor.as_mut(),
         others: &mut [],
-        max_features: args.features.max_features,
+        max_features: args.max_features,
         masks: &[],
         cameras: 1,
     };
@@ -132,8 +146,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Scale and gravity, by the switches or the recording.
-fn frame(args: &Args, model: &ColmapModel) -> anyhow::Result<ColmapFrame> {
+/// Scale and gravity, by the switches or the recording, which also says when its images were taken by the clock of its IMU.
+fn frame(args: &Args, model: &mut ColmapModel) -> anyhow::Result<ColmapFrame> {
     let positive = |value: f64| value.is_finite() && value > 0.0;
     if let Some(scale) = args.scale.filter(|scale| !positive(*scale)) {
         bail!("--scale {scale}: give a positive number of metres");
@@ -146,7 +160,10 @@ fn frame(args: &Args, model: &ColmapModel) -> anyhow::Result<ColmapFrame> {
     let recording = args.recording.as_ref().or(is_recording.then_some(&args.images));
     match (recording, scale, args.gravity) {
         (Some(recording), scale, None) => {
-            let sequence = Sequence::open_with(recording, &CalibrationFiles::default())?;
+            let files = CalibrationFiles::default();
+            let time_offset_ns = Recording::open_with(recording, &files)?.time_offset_ns();
+            let sequence = Sequence::open_with(recording, &files)?;
+            stamp_images(model, &sequence, time_offset_ns);
             Ok(ColmapFrame::of_recording(model, &sequence, scale, &odometry_config(&sequence)?)?)
         }
         (_, Some((scale, sigma)), gravity) => Ok(ColmapFrame::given(scale, sigma, gravity)),
@@ -168,5 +185,29 @@ fn path_of(folder: &Path, name: &str) -> PathBuf {
     match parts {
         Some((camera, file)) if !direct.exists() => folder.join("mav0").join(camera).join("data").join(file),
         _ => direct,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn switches_that_would_have_no_effect_are_errors() {
+        let parsed = |switches: &str| {
+            let line = ["import-colmap", "MODEL", "--images", "photos", "--map", "m.db"];
+            Line::try_parse_from(line.into_iter().chain(switches.split_whitespace()))
+        };
+        assert!(parsed("--sigma-scale 0.02").is_err() && parsed("--mask hood.png").is_err());
+        let args = parsed("--scale 0.4 --sigma-scale 0.02 --extractor edgepoint2-1").map(|line| line.args);
+        assert_eq!(args.map(|args| args.extractor).ok().flatten().as_deref(), Some("edgepoint2-1"));
+        assert!(parsed("").is_ok());
     }
 }

@@ -179,7 +179,8 @@ impl PublishingArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// A map or a path that cannot be read, a map that cannot be written or was changed meanwhile. A session that is refused is none.
+/// A map or a path that cannot be read, a map that cannot be written or was changed meanwhile; at the end what could
+/// not be remembered or proposed. A session that is refused is none.
 pub fn run(args: &Args) -> Result<()> {
     let settings = args.settings.read()?;
     if let Some(inbox) = &args.inbox {
@@ -194,11 +195,13 @@ pub fn run(args: &Args) -> Result<()> {
     let inbox = args.inbox.as_deref();
     let (contents, mut report) =
         maintain(stored, &args.sessions, inbox, &settings, &mut refused, &mut lines)?;
+    let mut remembered = Ok(());
     if !args.dry_run {
         if !report.taken.is_empty() {
             report.version = Some(target.save(&contents)?.version);
         }
-        refused.write(&args.map)?;
+        // What was done is reported and proposed all the same.
+        remembered = refused.write(&args.map);
     }
     #[cfg(feature = "releases")]
     let candidate = {
@@ -219,13 +222,18 @@ pub fn run(args: &Args) -> Result<()> {
         }
     }
     #[cfg(feature = "releases")]
-    if let Some(candidate) = candidate
-        .context("the map is not proposed as a candidate; the next run with --to makes up for it")?
-        .filter(|_| !args.json)
+    match candidate.context("the map is not proposed as a candidate; the next run with --to makes up for it")
     {
-        super::publish_map::print_outcome(&candidate, false)?;
+        Ok(Some(candidate)) if !args.json => super::publish_map::print_outcome(&candidate, false)?,
+        Ok(_) => {}
+        Err(error) => {
+            return Err(match remembered {
+                Ok(()) => error,
+                Err(other) => error.context(format!("{other:#}")),
+            });
+        }
     }
-    Ok(())
+    remembered
 }
 
 fn print(args: &Args, report: &JobReport) {

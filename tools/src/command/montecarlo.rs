@@ -70,7 +70,7 @@ pub struct Args {
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
     match_every: f64,
     /// Drop-out: no replies between these times, seconds; may be given several times
-    #[arg(long, value_name = "FROM:TO", value_parser = pair)]
+    #[arg(long, value_name = "FROM:TO", value_parser = interval)]
     gap: Vec<(f64, f64)>,
     /// Most matches in a reply
     #[arg(long, value_name = "N", default_value_t = AnswerOptions::default().max_matches)]
@@ -335,4 +335,26 @@ fn pair(text: &str) -> Result<(f64, f64), String> {
         Some((number(first)?, number(second)?))
     });
     parts.ok_or_else(|| "two numbers separated by a colon are needed, for example 2:0.03".to_owned())
+}
+
+/// Two times separated by a colon, the earlier first.
+fn interval(text: &str) -> Result<(f64, f64), String> {
+    let (from, to) = pair(text)?;
+    if from >= to {
+        return Err(format!("it ends at {to} s, and begins at {from} s: give the earlier time first"));
+    }
+    Ok((from, to))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_ends_after_it_begins() {
+        assert_eq!(interval("30:90"), Ok((30.0, 90.0)));
+        for wrong in ["90:30", "30:30", "30", "30:nan", "-1:3"] {
+            assert!(interval(wrong).is_err(), "{wrong}");
+        }
+    }
 }

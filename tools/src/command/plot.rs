@@ -76,5 +76,19 @@ fn direction(given: &[f64]) -> anyhow::Result<Vector3<f64>> {
     ensure!(given.len() == 3, "--gravity takes three numbers, as in 0,0,-1");
     Vector3::from_column_slice(given)
         .try_normalize(1e-9)
+        .filter(|unit| unit.iter().all(|value| value.is_finite()))
         .context("--gravity must be a direction, as in 0,0,-1")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gravity_has_a_direction() {
+        assert_eq!(direction(&[0.0, 0.0, -9.81]).unwrap(), -Vector3::z());
+        for wrong in [&[0.0; 3][..], &[0.0, f64::NAN, -1.0], &[f64::INFINITY, 0.0, 0.0], &[0.0, 1.0]] {
+            assert!(direction(wrong).is_err(), "{wrong:?}");
+        }
+    }
 }

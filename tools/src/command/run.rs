@@ -4,8 +4,7 @@ use crate::in_process::{LocalServer, MAP, gravity_in_own_frame, load_map};
 use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
-use onboard::arguments::{CalibrationArguments, ImuInBaseLink};
-use onboard::outputs::BaseMount;
+use onboard::arguments::CalibrationArguments;
 use onboard::{MapLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
@@ -42,9 +41,7 @@ pub struct Args {
 /// What the recording, the map or the output folder lacks; a run that ended early.
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
-    let mut files = args.calibration.files();
-    args.robot.wheels.name_topic(&mut files)?;
-    args.robot.gnss.name_topic(&mut files)?;
+    let files = args.robot.recording_files(&args.calibration)?;
     let recording = Recording::open_with(&args.recording, &files)?;
     let maps = match (&args.map, args.robot.map_mode()?) {
         (Some(database), MapMode::Odometry) => {
@@ -60,10 +57,7 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };
     let mut robot = args.robot.clone();
-    let given = robot.imu_in_base_link.map(ImuInBaseLink::imu_from_base);
-    if let Some(imu_from_base) = given.or_else(|| recording.imu_from_base(&robot.body.frames.base_link)) {
-        robot.body.mount = BaseMount::known(imu_from_base);
-    }
+    robot.mount_as_in(&recording);
     if let Some((_, map)) = maps.first() {
         robot.features = robot.features.or_of_map(&map.info().extractor);
         robot.gravity_in_own_frame = gravity_in_own_frame(map);

@@ -1,7 +1,7 @@
 //! `driftless simulate`: a simulated place and two runs through it, as recordings on disk: with tracks and features, or with
 //! images.
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use evaluation::trajectory::{StampedPose, tum};
 use indicatif::{ProgressBar, ProgressStyle};
 use sensors::{Sequence, writer};
@@ -9,6 +9,9 @@ use serde::Serialize;
 use simulation::images::{ImageOptions, simulate_images, write_images};
 use simulation::{SimulationOptions, simulate};
 use std::path::{Path, PathBuf};
+
+/// Names of the two recordings.
+const RECORDINGS: [&str; 2] = ["map", "live"];
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -58,6 +61,9 @@ pub struct Args {
     /// Standard deviation of the map's reference rotations, rad an axis
     #[arg(long, value_name = "RAD", default_value_t = SimulationOptions::default().sigma_reference_theta_rad)]
     sigma_reference_theta_rad: f64,
+    /// Replace the files of recordings that are there already
+    #[arg(long)]
+    force: bool,
     /// Print what was written as JSON
     #[arg(long)]
     json: bool,
@@ -79,14 +85,16 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// Options out of range, a trajectory that cannot be read, a folder that cannot be written.
+/// Options out of range, a trajectory that cannot be read, recordings that are there already, a folder that cannot be
+/// written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    refuse_to_replace(args)?;
     let options = options(args)?;
     let scenario =
         if args.images { simulate_images(&options, &ImageOptions::default()) } else { simulate(&options) };
     let scenario = scenario.context("the simulation is impossible")?;
     let mut summaries = Vec::new();
-    for (name, sequence) in [("map", &scenario.map), ("live", &scenario.live)] {
+    for (name, sequence) in RECORDINGS.into_iter().zip([&scenario.map, &scenario.live]) {
         let root = args.out.join(name);
         writer::write(sequence, &root).context("the recording was not written")?;
         if args.images {
@@ -119,6 +127,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             summary.duration_s,
             summary.frames,
             summary.imu_samples
+        );
+    }
+    Ok(())
+}
+
+/// Refuses a folder with recordings, which nothing tells from recorded ones.
+fn refuse_to_replace(args: &Args) -> anyhow::Result<()> {
+    let roots = RECORDINGS.map(|name| args.out.join(name));
+    if let Some(root) = roots.iter().find(|root| !args.force && root.join("mav0").exists()) {
+        bail!(
+            "{} is a recording already: name another --out, or use --force to replace its files",
+            root.display()
         );
     }
     Ok(())

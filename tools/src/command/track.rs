@@ -20,12 +20,25 @@ use vision::{Equalization, LocalEqualization};
 /// A rest is searched in so much of the beginning, nanoseconds; [`first_rest`] looks no further than 10 s.
 const REST_SEARCH_NS: i64 = 11_000_000_000;
 
+/// Files of a recording, beside those of cameras and IMU, that its tracks do not replace.
+const OTHER_FILES: [&str; 8] = [
+    "mav0/cam0/features.csv",
+    "mav0/wheels0/data.csv",
+    "mav0/wheels0/sensor.yaml",
+    "mav0/gnss0/data.csv",
+    "mav0/gnss0/sensor.yaml",
+    "mav0/state_groundtruth_estimate0/data.csv",
+    "mav0/mocap0/data.csv",
+    "reference_poses.csv",
+];
+
 /// Arguments of `driftless track`.
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  driftless track MH_01 --out MH_01_tracks\n  \
     driftless track MH_01 --cameras 1 --points 150 --equalize local\n  \
     driftless track flight.mcap --calibration MH_01 --out MH_01_tracks\n\n\
-    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and ground truth, but no images:\n\
+    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU, wheels, GNSS and ground\n\
+    truth, but no images:\n\
     `driftless run DIR --mode odometry --out run` runs on it.")]
 pub struct Args {
     /// The recording, with images: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1), which needs --out
@@ -34,7 +47,7 @@ pub struct Args {
     /// Calibration
     #[command(flatten)]
     calibration: CalibrationArguments,
-    /// Write a new recording to this folder [default: the tracks are written into REC]
+    /// Write a new recording to this folder, which is not REC [default: the tracks are written into REC]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Number of cameras to use, the first ones [default: all that the recording has]
@@ -53,7 +66,7 @@ pub struct Args {
     /// Do not use the gyroscope
     #[arg(long)]
     no_gyroscope: bool,
-    /// Replace tracks that are there already
+    /// Replace tracks that are there already, or the recording in the folder of --out
     #[arg(long)]
     force: bool,
     /// Print the summary as JSON
@@ -105,9 +118,10 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// A recording without images, tracks that are there already, a mask that does not fit, a folder that cannot be
-/// written.
+/// A recording without images, tracks that are there already, an `--out` that is a recording, a mask that does not fit,
+/// a folder that cannot be written.
 pub fn run(args: &Args) -> Result<()> {
+    refuse_recording_as_out(args)?;
     let files = args.calibration.files();
     let mut sequence = Sequence::open_without_readings(&args.recording, &files)?;
     let recording = Recording::open_with(&args.recording, &files)?;
@@ -270,6 +284,24 @@ fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {
     Ok(wanted)
 }
 
+/// Refuses an `--out` that is REC, whose files would be copied onto themselves, or without `--force` another recording.
+fn refuse_recording_as_out(args: &Args) -> Result<()> {
+    let Some(out) = &args.out else { return Ok(()) };
+    // What is not there has no path of this form, and is no recording.
+    let there = |path: &Path| path.canonicalize().ok();
+    let is_same = |of_rec: &Path, of_out: &Path| there(of_out).is_some_and(|out| there(of_rec) == Some(out));
+    if is_same(&args.recording, out) || is_same(&args.recording.join("mav0"), &out.join("mav0")) {
+        bail!("--out {} is the recording itself: name another folder", out.display());
+    }
+    if out.join("mav0").exists() && !args.force {
+        bail!(
+            "--out {} has a recording, whose files would be replaced: name another folder, or use --force",
+            out.display()
+        );
+    }
+    Ok(())
+}
+
 fn refuse_to_overwrite(args: &Args, root: &Path, cameras: usize) -> Result<()> {
     if args.force {
         return Ok(());
@@ -318,7 +350,7 @@ fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
     writer::write_tracks(&sequence.frames, cameras, root).context("the tracks were not written")
 }
 
-/// Copies calibration, lists of images, IMU and truth.
+/// Copies calibration, lists of images, IMU, wheels, GNSS and truth.
 fn copy_without_images(from: &Path, to: &Path, cameras: usize, kalibr: &CalibrationFiles) -> Result<()> {
     let sensors = (0..cameras).map(|camera| format!("mav0/cam{camera}")).chain(["mav0/imu0".to_owned()]);
     let mut files: Vec<String> = Vec::new();
@@ -329,15 +361,18 @@ fn copy_without_images(from: &Path, to: &Path, cameras: usize, kalibr: &Calibrat
             files.push(format!("{sensor}/sensor.yaml"));
         }
     }
-    files.push("mav0/cam0/features.csv".to_owned());
-    files.push("mav0/state_groundtruth_estimate0/data.csv".to_owned());
-    files.push("reference_poses.csv".to_owned());
+    files.extend(OTHER_FILES.map(str::to_owned));
     let mut copies: Vec<(PathBuf, PathBuf)> =
         files.iter().map(|file| (from.join(file), to.join(file))).filter(|(from, _)| from.exists()).collect();
     for (file, name) in [(&kalibr.cameras, "camchain-imucam.yaml"), (&kalibr.imu, "imu.yaml")] {
         copies.extend(file.iter().map(|file| (file.clone(), to.join(name))));
     }
     for (source, target) in copies {
+        // A calibration may be given that lies there already: copied onto itself it would be empty.
+        if target.canonicalize().is_ok_and(|there| source.canonicalize().is_ok_and(|source| source == there))
+        {
+            continue;
+        }
         let copied = std::fs::create_dir_all(target.parent().unwrap_or(to))
             .and_then(|()| std::fs::copy(&source, &target));
         copied.with_context(|| format!("cannot copy {} to {}", source.display(), target.display()))?;

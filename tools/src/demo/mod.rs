@@ -16,5 +16,8 @@ pub mod towns;
 use nalgebra::Vector3;
 pub use robot::Variant;
 
+/// What made the maps of the demo, as they state it: another one in their place is not replaced.
+const CREATED_BY: &str = "driftless demo";
+
 /// Direction of gravity in the simulated worlds, which is that of the maps' frames too.
 const GRAVITY_IN_GLOBAL: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);

@@ -120,13 +120,15 @@ impl Fleet {
         self.state.add(member.clone())?;
         self.remove_left_behind(&member)?;
         self.write_member(&member, validity)?;
-        self.write_state()?;
+        // Before the fleet has the member: an addition that is stopped here is made again, one that is done is not.
         let hub = self.hub();
-        files::write(&self.folder_of(&hub.name).join(CONFIG_FILE), &self.state.config_of(hub))?;
+        self.write_config(hub, &self.folder_of(&hub.name))?;
+        self.write_state()?;
         Ok(self.folder_of(name))
     }
 
-    /// Makes a new key and certificate for one member, or for all. The former certificates stay valid until they expire.
+    /// Makes a new key and certificate for one member, or for all, and writes its configuration as the fleet is now.
+    /// The former certificates stay valid until they expire.
     ///
     /// # Returns
     /// The members' folders.
@@ -141,6 +143,7 @@ impl Fleet {
             let (certificate, key) = self.issue(member, validity)?;
             files::write_secret(&folder.join(KEY), &key)?;
             files::write(&folder.join(CERTIFICATE), &certificate)?;
+            self.write_config(member, &folder)?;
             renewed.push(folder);
         }
         match name.filter(|_| renewed.is_empty()) {
@@ -165,8 +168,13 @@ impl Fleet {
             files::write_secret(&folder.join(KEY), &key)?;
             files::write(&folder.join(CERTIFICATE), &certificate)?;
             files::write(&folder.join(CA), self.authority.certificate())?;
-            files::write(&folder.join(CONFIG_FILE), &self.state.config_of(member))
+            self.write_config(member, folder)
         })
+    }
+
+    /// Writes the configuration of a member into its folder.
+    fn write_config(&self, member: &Member, folder: &Path) -> Result<(), FleetError> {
+        files::write(&folder.join(CONFIG_FILE), &self.state.config_of(member))
     }
 
     /// Removes the folder of a member that is not one: of an addition that was stopped.

@@ -50,7 +50,8 @@ impl Drive {
     /// * `period_s`: images are localized from cold at this distance, seconds.
     ///
     /// # Errors
-    /// A recording that cannot be read, or has neither images nor features.
+    /// A recording that cannot be read, or has neither images nor features; a topic of wheels or GNSS that cannot be
+    /// used.
     pub fn read(
         recording: &Path,
         calibration: &CalibrationArguments,
@@ -60,7 +61,7 @@ impl Drive {
     ) -> Result<Self> {
         let mut robot = robot.clone();
         robot.features = robot.features.or_of_map(&map.info().extractor);
-        let files = calibration.files();
+        let files = robot.recording_files(calibration)?;
         let end_s = robot.duration.map_or(f64::INFINITY, |duration_s| robot.start_at + duration_s);
         let images =
             RecordedQueries::read(recording, &files, robot.start_at..end_s, period_s, &robot.features)?;

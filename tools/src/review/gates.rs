@@ -12,36 +12,50 @@ const EQUAL_ERROR_M: f64 = 0.01;
 #[derive(Clone, Debug, PartialEq, Serialize, clap::Args)]
 pub struct Gates {
     /// Of the answers that update the robot in the live release, this part must do so in the candidate; one may always be missing
-    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.min_accepted, help_heading = GATES)]
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.min_accepted,
+        value_parser = not_negative, help_heading = GATES)]
     pub min_accepted: f64,
     /// Largest growth of the error to the truth, as a factor: one map's varies by a fifth from drive to drive
-    #[arg(long, value_name = "FACTOR", default_value_t = Self::DEFAULT.max_error_growth, help_heading = GATES)]
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::DEFAULT.max_error_growth,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_error_growth: f64,
     /// Largest NEES of the poses, and largest mean squared innovation per degree of freedom, where the live release has less: 1 is
     /// consistent
-    #[arg(long, value_name = "NEES", default_value_t = Self::DEFAULT.max_nees, help_heading = GATES)]
+    #[arg(long, value_name = "NEES", default_value_t = Self::DEFAULT.max_nees,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_nees: f64,
     /// Largest distance between the poses in both, for a drive without truth, m
-    #[arg(long, value_name = "M", default_value_t = Self::DEFAULT.max_disagreement_m, help_heading = GATES)]
+    #[arg(long, value_name = "M", default_value_t = Self::DEFAULT.max_disagreement_m,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_disagreement_m: f64,
     /// So many more images than in the live release may be localized in a wrong place
     #[arg(long, value_name = "N", default_value_t = Self::DEFAULT.max_wrong, help_heading = GATES)]
     pub max_wrong: usize,
     /// The first pose from cold may come so much later (95 % of the images), s
-    #[arg(long, value_name = "SECONDS", default_value_t = Self::DEFAULT.max_map_initialization_s, help_heading = GATES)]
+    #[arg(long, value_name = "SECONDS", default_value_t = Self::DEFAULT.max_map_initialization_s,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_map_initialization_s: f64,
     /// This part more of the images, and of the map's views, may look like several places
-    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_ambiguous, help_heading = GATES)]
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_ambiguous,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_ambiguous: f64,
     /// This part of the keyframes may move by more than the covariance that the live release states explains
-    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_unexplained, help_heading = GATES)]
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_unexplained,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_unexplained: f64,
     /// This part of the places of the live release, cubes of 10 m, may have no keyframe near any more
-    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_emptied, help_heading = GATES)]
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_emptied,
+        value_parser = not_negative, help_heading = GATES)]
     pub max_emptied: f64,
 }
 
 const GATES: &str = "Gates";
+
+/// Parses a number that can be a bound: with others a gate would refuse everything, or nothing.
+fn not_negative(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
+    number.ok_or_else(|| "give a finite number that is not negative".to_owned())
+}
 
 impl Gates {
     const DEFAULT: Self = Self {
@@ -211,5 +225,40 @@ struct Refusals {
 impl Refusals {
     fn add(&mut self, gate: &'static str, reason: String) {
         self.all.push(Refusal { gate, drive: self.drive.clone(), reason });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        gates: Gates,
+    }
+
+    #[test]
+    fn a_gate_is_a_finite_number_that_is_not_negative() {
+        let gates = |switch: &str| Line::try_parse_from(["review", switch]).map(|line| line.gates);
+        let same = Gates { max_nees: 3.5, ..Gates::default() };
+        assert!(gates("--max-nees=3.5").is_ok_and(|gates| gates == same));
+        for gate in [
+            "min-accepted",
+            "max-error-growth",
+            "max-nees",
+            "max-disagreement-m",
+            "max-wrong",
+            "max-map-initialization-s",
+            "max-ambiguous",
+            "max-unexplained",
+            "max-emptied",
+        ] {
+            assert!(gates(&format!("--{gate}=0")).is_ok(), "{gate}");
+            for wrong in ["nan", "inf", "-1", "much"] {
+                assert!(gates(&format!("--{gate}={wrong}")).is_err(), "{gate} {wrong}");
+            }
+        }
     }
 }

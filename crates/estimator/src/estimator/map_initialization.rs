@@ -44,6 +44,7 @@ impl Estimator {
             self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
             self.state.transform = None;
             self.known_in_map = false;
+            self.repeated_views.clear();
         }
     }
 
@@ -61,6 +62,11 @@ impl Estimator {
     pub fn expect_pose(&mut self, global_from_imu: &PoseWithCovariance) {
         let local_from_imu = self.state.imu.local_from_imu;
         self.map_initializer.expect(FixedPose::new(global_from_imu, &local_from_imu));
+    }
+
+    /// Forgets what [`Self::expect_pose`] told.
+    pub fn forget_expected_pose(&mut self) {
+        self.map_initializer.forget_expected();
     }
 
     /// Whether an answer may initialize `global_from_local`: its hypothesis has enough evidence.

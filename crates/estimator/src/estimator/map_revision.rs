@@ -91,6 +91,7 @@ impl Estimator {
         if let Some(range) = self.state.range(Block::Transform) {
             let noise = transform_noise(&self.state.imu.local_from_imu.translation, size);
             self.covariance.add_noise(range.start, &noise);
+            self.repeated_views.clear();
         }
     }
 
@@ -133,6 +134,7 @@ impl Estimator {
             column *= *sigma;
         }
         self.covariance.add_noise_of_root(&remainder);
+        self.repeated_views.clear();
         self.state.retract(&correction);
     }
 

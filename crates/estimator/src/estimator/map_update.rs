@@ -8,6 +8,7 @@ use crate::error::EstimatorError;
 use crate::map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 use crate::map_update::map_measurement::{Linearization, LinearizationPoint};
 use crate::map_update::map_report::{MapReport, Rejection};
+use crate::map_update::repeated_views::View;
 use crate::map_update::solved_pose::median_depth;
 use crate::map_update::verification::{VerificationSettings, VerifiedAnswer, verify};
 use crate::measurement::Information;
@@ -228,11 +229,14 @@ impl Estimator {
             report.initialized = false;
             return Ok(Err(waiting));
         }
+        let seen = solved_transform.rotation * -Vector3::z();
+        if report.initialized {
+            self.map_gravity.review(seen);
+        }
         // A picture that repeats shows a wrong direction, too: only a place that is believed is evidence against the map's.
         if report.initialized
             && self.map_gravity.fault().is_none_or(|known| known.stated.is_none())
-            && let Err(fault) =
-                self.map_gravity.compare(answer.gravity_in_global, solved_transform.rotation * -Vector3::z())
+            && let Err(fault) = self.map_gravity.compare(answer.gravity_in_global, seen)
         {
             report.initialized = false;
             return Ok(Err(fault.into()));
@@ -306,7 +310,7 @@ impl Estimator {
             if report.initialized {
                 self.add_solved_pose(&mut linearized.information, answer, verified, &keyframes, &point);
             }
-            let LinearizedMapUpdate { information, used, plausible } = linearized;
+            let LinearizedMapUpdate { mut information, used, plausible } = linearized;
             (report.used, report.plausible) = (used, plausible);
             let agrees = exact || 2 * plausible >= inliers;
             let passes = iteration > 1 || self.passes_outlier_test(agrees, (clone, answer.camera), measured);
@@ -336,6 +340,10 @@ impl Estimator {
                 point.at = self.next_point(clone, &information, &point)?;
                 continue;
             }
+            if !exact {
+                // Gates are for what an answer says, whatever has been said before.
+                information.scale(self.weight_of_view(clone, answer, verified));
+            }
             let before = BeforeUpdate::of(&self.state.imu, &self.covariance);
             self.covariance.information_update(&information, &mut self.correction)?;
             self.state.retract(&self.correction);
@@ -348,6 +356,20 @@ impl Estimator {
             self.check_health()?;
         }
         Ok(Ok(()))
+    }
+
+    /// How much an answer counts that is used: less where others were used from the same place.
+    fn weight_of_view(&mut self, clone: CloneId, answer: &MapAnswer, verified: &VerifiedAnswer) -> f64 {
+        let Some(index) = self.state.clone_index(clone) else { return 1.0 };
+        let view = View {
+            camera: answer.camera,
+            keyframe: verified.best,
+            local_from_imu: self.state.clones[index].local_from_imu,
+            depth_m: median_depth(answer, verified),
+        };
+        let weight = self.repeated_views.weight(&view);
+        self.repeated_views.note(&view);
+        weight
     }
 
     /// Removes the keyframes that a rejected answer pulled.

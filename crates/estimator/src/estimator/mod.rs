@@ -4,6 +4,7 @@ mod accessors;
 mod gnss_update;
 mod iterated_update;
 mod map_initialization;
+pub mod map_knowledge;
 mod map_linearization;
 mod map_revision;
 mod map_update;
@@ -33,6 +34,7 @@ use crate::map_update::map_initializer::MapInitializer;
 use crate::map_update::map_revision::MapVersion;
 use crate::map_update::map_watch::MapWatch;
 use crate::map_update::place_evidence::PlaceEvidence;
+use crate::map_update::repeated_views::RepeatedViews;
 use crate::motion::AngularRate;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
@@ -142,6 +144,8 @@ pub struct Estimator {
     map_initializer: MapInitializer,
     map_gravity: MapGravity,
     map_watch: MapWatch,
+    /// Answers from where the robot is now.
+    repeated_views: RepeatedViews,
     last_map_update_ns: Option<i64>,
     last_gnss_update_ns: Option<i64>,
     /// Whether the position in G has been known well enough once since its initialization.
@@ -232,6 +236,7 @@ impl Estimator {
             map_initializer: MapInitializer::default(),
             map_gravity: MapGravity::default(),
             map_watch: MapWatch::default(),
+            repeated_views: RepeatedViews::default(),
             last_map_update_ns: None,
             last_gnss_update_ns: None,
             last_zero_velocity_ns: None,

@@ -100,7 +100,10 @@ impl Estimator {
             self.note_motion_after(&readings);
         }
         let mut propagation = self.propagation();
-        readings.windows(2).for_each(|pair| propagation.step(&pair[0], &pair[1]));
+        for pair in readings.windows(2) {
+            let spacing_ns = self.imu.longest_gap_ns(pair[0].stamp_ns, pair[1].stamp_ns);
+            propagation.step_within(&pair[0], &pair[1], spacing_ns);
+        }
         let propagated = propagation.end();
         self.angular_rate = AngularRate::at_end(&readings);
         self.covariance.time_update(&propagated.transition, &propagated.noise);

@@ -74,6 +74,8 @@ impl Estimator {
                 continue;
             }
             for kept in std::mem::take(&mut wheels.untried) {
+                // Each one corrects the calibration that the next one is integrated with.
+                let Some(calibration) = self.state.wheels else { break };
                 done = done.and_then(|()| self.use_interval(&mut wheels, &kept, &calibration));
             }
         }

@@ -7,16 +7,21 @@
 //! reading: the antenna is off a straight line by an eighth of its acceleration times the squared interval, 1 mm at 3 m/s^2
 //! and 20 images a second. Everything is turned to L, where the unobservable directions are the same at every estimate of
 //! `global_from_local`.
+//!
+//! The error of a clone is that of the pose at the true time of its image, and a reading is at a time of the IMU's clock: where the offset of the
+//! cameras' clock is estimated, a larger one has the antenna pass between the clones by `v` times it earlier.
 
 use crate::measurement::LinearizedMeasurement;
 use crate::state::{ActiveState, Block};
 use geometry::rotation::skew;
 use nalgebra::{Matrix3, SMatrix, Vector3};
+use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
-/// Columns: two clones, then the transform.
-const COLUMNS: usize = 18;
+/// Columns: two clones, the transform, then the offset of the cameras' clock, where that is estimated.
+const COLUMNS: usize = 19;
 const TRANSFORM: usize = 12;
+const TIME_OFFSET: usize = 18;
 
 /// Where a reading is between two clones.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +38,7 @@ pub(crate) struct GnssMeasurement {
     residual: Vector3<f64>,
     jacobian: SMatrix<f64, 3, COLUMNS>,
     local_from_global: Matrix3<f64>,
-    blocks: [Range<usize>; 3],
+    blocks: SmallVec<[Range<usize>; 4]>,
 }
 
 /// The antenna in L; `None` where a clone does not exist.
@@ -44,6 +49,14 @@ pub(crate) fn antenna_in_local(
 ) -> Option<Vector3<f64>> {
     let at = |index: usize| Some(state.clones.get(index)?.local_from_imu.transform(antenna));
     Some(at(between.clones[0])?.lerp(&at(between.clones[1])?, between.later))
+}
+
+/// Velocity of the antenna between two clones, in L (m/s); `None` where a clone does not exist, or both are at one time.
+fn velocity_between(state: &ActiveState, between: &Between, antenna: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let [first, second] = [state.clones.get(between.clones[0])?, state.clones.get(between.clones[1])?];
+    let seconds = (second.stamp_ns - first.stamp_ns) as f64 * 1e-9;
+    let moved = second.local_from_imu.transform(antenna) - first.local_from_imu.transform(antenna);
+    (seconds > 0.0).then(|| moved / seconds)
 }
 
 impl GnssMeasurement {
@@ -80,16 +93,24 @@ impl GnssMeasurement {
         }
         put(TRANSFORM, -skew(&expected));
         put(TRANSFORM + 3, Matrix3::identity());
+        let mut blocks = smallvec![
+            state.range(Block::Clone(between.clones[0]))?,
+            state.range(Block::Clone(between.clones[1]))?,
+            state.range(Block::Transform)?,
+        ];
+        if state.calibration.estimates_time_offset() {
+            let begin = state.range(Block::Calibration)?.start;
+            blocks.push(begin..begin + 1);
+            jacobian
+                .fixed_view_mut::<3, 1>(0, TIME_OFFSET)
+                .copy_from(&-velocity_between(state, between, antenna)?);
+        }
         let local_from_global = transform.rotation.inverse().to_rotation_matrix().into_inner();
         Some(Self {
             residual: local_from_global * (position - transform.translation) - expected,
             jacobian,
             local_from_global,
-            blocks: [
-                state.range(Block::Clone(between.clones[0]))?,
-                state.range(Block::Clone(between.clones[1]))?,
-                state.range(Block::Transform)?,
-            ],
+            blocks,
         })
     }
 
@@ -149,6 +170,27 @@ mod tests {
         });
         assert!((&numeric - &found).amax() < 1e-6, "{}", numeric - found);
         assert!(found.amax() > 0.5);
+    }
+
+    /// With a larger offset of the cameras' clock, a reading is nearer to the clone before it.
+    #[test]
+    fn the_offset_of_the_cameras_moves_a_reading_between_its_clones() {
+        let mut state = scene(true).state;
+        state.transform =
+            Some(Pose::new(rotation::exp(&Vector3::new(0.4, -0.3, 1.9)), Vector3::new(20.0, -7.0, 3.0)));
+        for (clone, stamp) in state.clones.iter_mut().zip(0..) {
+            clone.stamp_ns = stamp * 100_000_000;
+        }
+        let column = state.range(Block::Calibration).unwrap().start;
+        let found = whole(&state, &measurement(&state, true)).column(column).into_owned();
+        let seconds = (state.clones[5].stamp_ns - state.clones[3].stamp_ns) as f64 * 1e-9;
+        let antenna = Vector3::new(0.2, -0.3, 0.9);
+        let at = |offset: f64| {
+            let between = Between { later: BETWEEN.later - offset / seconds, ..BETWEEN };
+            antenna_in_local(&state, &between, &antenna).unwrap()
+        };
+        let numeric = (at(1e-3) - at(-1e-3)) / 2e-3;
+        assert!(seconds > 0.0 && numeric.norm() > 0.1 && (found - numeric).amax() < 1e-9, "{numeric}");
     }
 
     #[test]

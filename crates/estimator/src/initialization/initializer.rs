@@ -222,7 +222,11 @@ impl Initializer {
         self.imu.remove_before(self.rest.as_ref().map_or(oldest_ns, |rest| rest.stamp_ns.min(oldest_ns)));
     }
 
-    /// Adds the tracks of an image, after the IMU samples up to the first one later than it.
+    /// Adds the tracks of an image, after the IMU samples up to the first one later than it by the clock of the IMU
+    /// ([`EstimatorConfig::imu_stamp_ns`]).
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: by the camera's clock, nanoseconds.
     ///
     /// # Returns
     /// An initial state at this image, or a short time before it.
@@ -234,6 +238,8 @@ impl Initializer {
         stamp_ns: i64,
         tracks: &[TrackObservation],
     ) -> Result<Initialization, InitStatus> {
+        // From here on by the clock of the IMU.
+        let stamp_ns = self.config.imu_stamp_ns(stamp_ns);
         if stamp_ns < self.not_before_ns {
             return Err(InitStatus::Paused { seconds: (self.not_before_ns - stamp_ns) as f64 * 1e-9 });
         }

@@ -66,6 +66,15 @@ impl MapGravity {
         }
     }
 
+    /// Compares a direction that is seen with one that the map was found to state wrongly: where they agree it was the state that was wrong,
+    /// and the fault ends.
+    pub(crate) fn review(&mut self, seen: Vector3<f64>) {
+        let stated = self.fault().and_then(|fault| fault.stated);
+        if stated.is_some_and(|stated| stated.angle(&seen) <= MAX_ANGLE_RAD) {
+            *self = Self::default();
+        }
+    }
+
     /// What is wrong with the map, once it is known.
     pub(crate) fn fault(&self) -> Option<GravityFault> {
         self.fault.filter(|fault| fault.stated.is_none() || self.agreeing >= MIN_AGREEING)
@@ -96,6 +105,18 @@ mod tests {
         let (mut map, down) = (MapGravity::default(), Some(-Vector3::z()));
         assert_eq!(map.compare(down, tilted(0.3)), Ok(()));
         assert_eq!((map.fault(), map.believed(down)), (None, down));
+    }
+
+    #[test]
+    fn a_direction_that_is_seen_after_all_was_not_wrong() {
+        let (mut map, up) = (MapGravity::default(), Some(Vector3::z()));
+        for seen in [tilted(0.0), tilted(0.05)] {
+            let _ = map.compare(up, seen);
+        }
+        map.review(tilted(0.02));
+        assert!(map.fault().is_some());
+        map.review(-tilted(0.1));
+        assert_eq!((map.fault(), map.believed(up)), (None, up));
     }
 
     #[test]

@@ -189,6 +189,11 @@ impl MapInitializer {
         self.expected = Some(expected);
     }
 
+    /// Forgets where the robot is according to its operator.
+    pub fn forget_expected(&mut self) {
+        self.expected = None;
+    }
+
     /// A hypothesis and its best alternative.
     fn against(&self, own: usize) -> Waiting {
         let others = self.hypotheses.iter().enumerate().filter(|(at, _)| *at != own);

@@ -9,5 +9,6 @@ pub mod map_report;
 pub mod map_revision;
 pub mod map_watch;
 pub mod place_evidence;
+pub(crate) mod repeated_views;
 pub mod solved_pose;
 pub mod verification;

@@ -80,3 +80,22 @@ pub struct LearnedWheels {
     /// Covariance of its error.
     pub(crate) covariance: DMatrix<f64>,
 }
+
+impl LearnedWheels {
+    /// The same calibration with larger standard deviations, each up to that of another one; correlations are kept.
+    pub(crate) fn widened(mut self, factor: f64, up_to: &LearnedWheels) -> LearnedWheels {
+        let dim = self.covariance.nrows().min(up_to.covariance.nrows());
+        let scales: Vec<f64> = (0..dim)
+            .map(|k| {
+                let most = (up_to.covariance[(k, k)] / self.covariance[(k, k)].max(f64::MIN_POSITIVE)).sqrt();
+                factor.min(most).max(1.0)
+            })
+            .collect();
+        for row in 0..dim {
+            for column in 0..dim {
+                self.covariance[(row, column)] *= scales[row] * scales[column];
+            }
+        }
+        self
+    }
+}

@@ -79,7 +79,7 @@ impl Reader {
                 pixels.push(ColmapPixel { pixel, point });
             }
         }
-        Ok((id, ColmapImage { name, camera, world_from_camera, pixels }))
+        Ok((id, ColmapImage { name, stamp_ns: None, camera, world_from_camera, pixels }))
     }
 
     fn bytes(&mut self, count: usize) -> Result<&[u8], ReadColmapError> {

@@ -25,6 +25,8 @@ pub struct ColmapModel {
 pub struct ColmapImage {
     /// Its file, relative to the folder of images.
     pub name: String,
+    /// When it was taken, on the clock of the IMU (ns), where that is known otherwise than by its name. A model says nothing of it.
+    pub stamp_ns: Option<i64>,
     /// Id of its camera.
     pub camera: u32,
     /// Pose of the camera in the model's frame, in the model's unit of length.

@@ -30,7 +30,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, ReadColmapError> {
         let (camera, name) = (words.next("its camera")?, words.text());
         // The line of points may be empty, and is then no line without an entry.
         let pixels = lines.next().map_or(Ok(Vec::new()), |line| line.pixels())?;
-        model.images.insert(id, ColmapImage { name, camera, world_from_camera, pixels });
+        model.images.insert(id, ColmapImage { name, stamp_ns: None, camera, world_from_camera, pixels });
     }
     let file = TextFile::open(folder.join("points3D.txt"))?;
     for line in file.lines().filter(Line::is_entry) {

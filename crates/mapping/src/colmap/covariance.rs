@@ -5,7 +5,7 @@
 //! an observation of the distance between the two keyframes that are farthest apart, so that its error is common to all.
 
 use super::frame::ColmapFrame;
-use crate::joint_covariance::{JointCovariance, joint_covariance};
+use crate::joint_covariance::{FrameAndScale, JointCovariance, joint_covariance};
 use crate::stored_poses::Posterior;
 use adjustment::{
     LandmarkBlocks, LandmarkEquations, NormalEquations, StateLayout, gauge_information, parallel,
@@ -13,11 +13,15 @@ use adjustment::{
 use geometry::Pose;
 use geometry::camera::Camera;
 use geometry::rotation::skew;
-use nalgebra::{Matrix2x3, Matrix2x6, Matrix6, Matrix6x3, RowVector6, Vector1, Vector2, Vector3, Vector6};
+use nalgebra::{
+    Matrix2x3, Matrix2x6, Matrix6, Matrix6x3, RowVector3, RowVector6, Vector1, Vector2, Vector3, Vector6,
+};
 
 /// Standard deviations that fix the frame: of yaw (rad), of the tilt where gravity says none (rad), and of the position
 /// (m) of the first image.
 const GAUGE_SIGMAS: [f64; 3] = [1e-4, 1e-3, 1e-3];
+/// Information of a weak prior on the inverse depth of a point in one of its images (m^2), as the adjuster of maps has it.
+const DEPTH_INFORMATION: f64 = 1.0;
 /// Points whose equations are summed up by one thread.
 const RUN: usize = 512;
 
@@ -61,6 +65,22 @@ impl View {
         by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_point);
         Some((by_pose, by_point))
     }
+
+    /// Jacobians of the inverse depth of a point, `d.z^-1`, by the pose's error and by the position of the point; `None` of a point that
+    /// is not in front.
+    fn inverse_depth_jacobians(&self, position: &Vector3<f64>) -> Option<(RowVector6<f64>, RowVector3<f64>)> {
+        let depth = self.in_camera(position).z;
+        if depth <= 0.0 {
+            return None;
+        }
+        let axis = self.pose.rotation * Vector3::z();
+        let by_point = axis.transpose() * -depth.powi(-2);
+        let mut by_pose = RowVector6::zeros();
+        let by_rotation = by_point * skew(&(position - self.pose.translation));
+        by_pose.fixed_view_mut::<1, 3>(0, 0).copy_from(&by_rotation);
+        by_pose.fixed_view_mut::<1, 3>(0, 3).copy_from(&-by_point);
+        Some((by_pose, by_point))
+    }
 }
 
 /// The joint covariance of all views.
@@ -86,7 +106,8 @@ pub(super) fn covariance(
     let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
     let all: Vec<usize> = (0..views.len()).collect();
     let posterior = Posterior::new(&covariance, &[], &all, &[]);
-    Some(joint_covariance(&posterior, (&all, all.len()), &positions, None, progress))
+    let as_adjusted = FrameAndScale::AsAdjusted;
+    Some(joint_covariance(&posterior, (&all, all.len()), &positions, as_adjusted, progress))
 }
 
 fn of_points(views: &[View], points: &[Point], sigma_px: f64) -> LandmarkEquations {
@@ -104,12 +125,24 @@ fn add_point(equations: &mut LandmarkEquations, views: &[View], point: &Point, s
     for &(view, ..) in &point.seen {
         let Some((by_pose, by_point)) = views[view].jacobians(&point.position) else { continue };
         let weighted = by_pose.transpose() * weight;
-        equations.add_pose(view, &(weighted * by_pose), &Vector6::zeros());
+        blocks.poses.push((view, weighted * by_pose, Vector6::zeros()));
         let coupling: Matrix6x3<f64> = weighted * by_point;
         blocks.couplings.push((view, coupling));
         blocks.information += by_point.transpose() * by_point * weight;
     }
+    add_weak_depth(&mut blocks, views, point);
     equations.add_landmark(&blocks);
+}
+
+/// A weak prior of the depth in the image that anchors the landmark: a point without parallax would have none, and what its images
+/// say of the poses would be lost with it.
+fn add_weak_depth(blocks: &mut LandmarkBlocks, views: &[View], point: &Point) {
+    let Some(&(view, ..)) = point.seen.get(point.seen.len() / 2) else { return };
+    let Some((by_pose, by_point)) = views[view].inverse_depth_jacobians(&point.position) else { return };
+    let weighted: Vector6<f64> = by_pose.transpose() * DEPTH_INFORMATION;
+    blocks.poses.push((view, weighted * by_pose, Vector6::zeros()));
+    blocks.couplings.push((view, weighted * by_point));
+    blocks.information += by_point.transpose() * by_point * DEPTH_INFORMATION;
 }
 
 /// What fixes the frame: the first view, with the tilt that gravity leaves, and the scale.

@@ -2,12 +2,13 @@
 
 use crate::error::BuildError;
 use crate::imu_alignment::{ImuAlignment, upright_from};
+use crate::joint_covariance::SCALE_SIGMA;
 use estimator::EstimatorConfig;
 use geometry::Pose;
 use map_io::colmap::{ColmapImage, ColmapModel};
 use nalgebra::{UnitQuaternion, Vector3};
 use sensors::Sequence;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Relative standard deviation of a scale that stereo calibration gives: calibrated baselines are off by about so much.
@@ -61,8 +62,9 @@ impl ColmapFrame {
     /// The frame of a model of a recording's images: the baseline of its stereo pairs, or without any the IMU, gives the
     /// unit of length, the IMU the direction of gravity. G has z up.
     ///
-    /// Images belong to the recording's by their time stamps, which their names state (`cam0/1403715273262142976.jpg`);
-    /// those in a folder named `cam1` are of its second camera.
+    /// Images belong to the recording's by their time stamps, which their names state (`cam0/1403715273262142976.jpg`), or
+    /// [`stamp_images`] where the recording has an offset between the clocks of cameras and IMU; those in a folder named `cam1` are of
+    /// its second camera.
     ///
     /// # Arguments
     /// * `scale`: known metres in the model's unit of length with their relative standard deviation; `None` to find them.
@@ -83,7 +85,9 @@ impl ColmapFrame {
         let poses: Vec<(i64, Pose)> = images.iter().filter_map(pose).collect();
         let known = scale.or_else(|| stereo_scale(&images, sequence));
         let alignment = ImuAlignment::new(sequence, &poses, known.map(|(scale, _)| scale), config)?;
-        let (scale, sigma_scale) = known.unwrap_or((alignment.scale, alignment.sigma_scale));
+        // An accelerometer is calibrated to a thousandth, however many of its readings there are.
+        let (scale, sigma_scale) =
+            known.unwrap_or((alignment.scale, alignment.sigma_scale.hypot(SCALE_SIGMA)));
         if !(scale > 0.0 && sigma_scale < MAX_SIGMA_SCALE) {
             return Err(BuildError::ColmapScale { percent: 100.0 * sigma_scale });
         }
@@ -111,9 +115,35 @@ fn number(name: &str) -> Option<i64> {
     Path::new(name).file_stem()?.to_str()?.parse().ok()
 }
 
-/// When an image was taken (ns), where its name says so: a number that is a time of day, or in a recording's folder of a camera
-/// one of at least a second. Images that people count have smaller numbers, which are no times.
-pub(super) fn stamp_ns(name: &str) -> Option<i64> {
+/// States when the images of a model were taken by the clock of a recording's IMU: the names of its images are times of the cameras'
+/// clock, to which the recording adds an offset (Kalibr's `timeshift_cam_imu`). Where more names are times of its frames as they are, as
+/// those of an exported map, they stay.
+///
+/// # Arguments
+/// * `sequence`: with its frames.
+/// * `time_offset_ns`: what the recording adds to the recorded stamps of its frames.
+pub fn stamp_images(model: &mut ColmapModel, sequence: &Sequence, time_offset_ns: i64) {
+    let frames: BTreeSet<i64> = sequence.frames.iter().map(|frame| frame.stamp_ns).collect();
+    let of_frame = |image: &ColmapImage, offset_ns: i64| {
+        number(&image.name)
+            .and_then(|stamp_ns| stamp_ns.checked_add(offset_ns))
+            .filter(|stamp_ns| frames.contains(stamp_ns))
+    };
+    let count =
+        |offset_ns: i64| model.images.values().filter(|image| of_frame(image, offset_ns).is_some()).count();
+    let offset_ns = if count(0) > count(time_offset_ns) { 0 } else { time_offset_ns };
+    for image in model.images.values_mut() {
+        image.stamp_ns = of_frame(image, offset_ns);
+    }
+}
+
+/// When an image was taken (ns), where that is known or its name says so: a number that is a time of day, or in a recording's folder of a
+/// camera one of at least a second. Images that people count have smaller numbers, which are no times.
+pub(super) fn stamp_ns(image: &ColmapImage) -> Option<i64> {
+    image.stamp_ns.or_else(|| stated_by(&image.name))
+}
+
+fn stated_by(name: &str) -> Option<i64> {
     let of_recording = Path::new(name)
         .parent()
         .and_then(Path::file_name)
@@ -122,11 +152,12 @@ pub(super) fn stamp_ns(name: &str) -> Option<i64> {
     number(name).filter(|stamp_ns| *stamp_ns >= least)
 }
 
-/// The images whose names are time stamps, by time stamp and camera.
+/// The images whose time is known or their name, by time stamp and camera.
 fn stamped<'m>(model: &'m ColmapModel) -> BTreeMap<(i64, usize), &'m ColmapImage> {
     let stamped = |image: &'m ColmapImage| {
         let second = Path::new(&image.name).components().any(|part| part.as_os_str() == "cam1");
-        Some(((number(&image.name)?, usize::from(second)), image))
+        let stamp_ns = image.stamp_ns.or_else(|| number(&image.name))?;
+        Some(((stamp_ns, usize::from(second)), image))
     };
     model.images.values().filter_map(stamped).collect()
 }

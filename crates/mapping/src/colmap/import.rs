@@ -213,7 +213,7 @@ impl<'a> Scene<'a> {
             let View { camera, pose } = &self.views[view];
             Keyframe {
                 id,
-                stamp_ns: stamp_ns(&image.name).unwrap_or(0),
+                stamp_ns: stamp_ns(image).unwrap_or(0),
                 global_from_keyframe: PoseWithCovariance::new(*pose, joint.own[&view]),
                 camera: camera.clone(),
                 features: None,

@@ -14,5 +14,5 @@ mod import;
 #[cfg(test)]
 mod tests;
 
-pub use frame::{ColmapFrame, Gravity};
+pub use frame::{ColmapFrame, Gravity, stamp_images};
 pub use import::{ColmapImport, import_colmap};

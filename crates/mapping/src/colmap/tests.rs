@@ -1,7 +1,7 @@
 //! Frames, covariances and maps of models whose truth is known.
 
 use super::covariance::{Point, View, covariance};
-use super::frame::{ColmapFrame, Gravity};
+use super::frame::{ColmapFrame, Gravity, stamp_images, stamp_ns};
 use crate::error::BuildError;
 use estimator::EstimatorConfig;
 use geometry::camera::{Camera, Distortion};
@@ -10,7 +10,7 @@ use map_io::colmap::{ColmapImage, ColmapModel};
 use nalgebra::{DMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use sensors::Sequence;
+use sensors::{Frame, Sequence};
 use simulation::{SimulationOptions, simulate};
 
 /// Metres in the unit of length of the models.
@@ -67,6 +67,11 @@ fn whitened(views: &[View], points: &[Point], error: &[f64]) -> Vec<f64> {
             let at = views[*view].camera.project(&moved[*view].inverse_transform(&position)).unwrap();
             residuals.extend(((at - pixel) / SIGMA_PX).iter());
         }
+        // The weak prior of the inverse depth in the middle view.
+        let middle = point.seen[point.seen.len() / 2].0;
+        let depth = |pose: &Pose, position: &Vector3<f64>| pose.inverse_transform(position).z;
+        let stated = depth(&views[middle].pose, &point.position);
+        residuals.push(depth(&moved[middle], &position).recip() - stated.recip());
     }
     // The frame: position and yaw of the first view, its tilt, and the distance between the outermost views.
     let frame = frame();
@@ -114,6 +119,31 @@ fn the_covariance_is_that_of_the_dense_problem_with_numeric_derivatives() {
     }
 }
 
+/// A camera that only turns sees no depth at all: what its images say of its rotation stays, and nothing of its position is invented.
+#[test]
+fn points_without_parallax_tell_the_rotation_and_no_position() {
+    let (mut views, mut points) = scene();
+    let at = views[0].pose.translation;
+    // Three views at one place, and two that see the points from elsewhere.
+    views[1].pose.translation = at;
+    views[2].pose.translation = at;
+    for point in &mut points {
+        point.position += (point.position - at) * 200.0;
+        for (view, _, pixel) in &mut point.seen {
+            let View { camera, pose } = &views[*view];
+            *pixel = camera.project(&pose.inverse_transform(&point.position)).unwrap();
+        }
+        point.seen.truncate(3);
+    }
+    let joint = covariance(&views[..3], &points, &frame(), SIGMA_PX, |_, _| {});
+    let Some(joint) = joint else { panic!("the weak prior of the depth leaves the poses determined") };
+    let of_last = joint.own[&2];
+    let sigmas = of_last.diagonal().map(f64::sqrt);
+    let tilt = frame().gravity.unwrap().sigma_rad;
+    assert!(sigmas.fixed_rows::<3>(0).max() < 2.0 * tilt, "{sigmas}");
+    assert!(sigmas.fixed_rows::<3>(3).min() > 0.1, "{sigmas}");
+}
+
 /// A model of a recording's images at its true poses, in a frame and unit of length of its own.
 fn model_of(sequence: &Sequence, stereo: bool) -> ColmapModel {
     let turned = Pose::new(rotation::exp(&Vector3::new(0.8, -1.1, 0.4)), Vector3::new(3.0, -2.0, 5.0));
@@ -124,6 +154,7 @@ fn model_of(sequence: &Sequence, stereo: bool) -> ColmapModel {
             let Pose { rotation, translation } = turned.compose(&row.pose).compose(&sensor.imu_from_camera);
             let image = ColmapImage {
                 name: format!("cam{index}/{}.png", row.stamp_ns),
+                stamp_ns: None,
                 camera: index as u32,
                 world_from_camera: Pose::new(rotation, translation / SCALE),
                 pixels: Vec::new(),
@@ -156,8 +187,44 @@ fn a_recording_gives_scale_and_gravity() {
     let mono = model_of(&sequence, false);
     let by_imu = ColmapFrame::of_recording(&mono, &sequence, None, &config).unwrap();
     assert!((by_imu.scale / SCALE - 1.0).abs() < 3.0 * by_imu.sigma_scale, "{by_imu:?}");
+    assert!(by_imu.sigma_scale >= crate::joint_covariance::SCALE_SIGMA);
     let told = ColmapFrame::of_recording(&mono, &sequence, Some((SCALE, 0.01)), &config).unwrap();
     assert_eq!((told.scale, told.sigma_scale), (SCALE, 0.01));
+}
+
+/// The camera's clock is 0.3 s behind, so that the recording adds as much to the stamps of its frames, and names have none of it.
+#[test]
+fn images_of_a_recording_with_an_offset_of_the_clocks_have_the_times_of_its_frames() {
+    const OFFSET_NS: i64 = 300_000_000;
+    let options = SimulationOptions { duration_s: Some(30.0), ..SimulationOptions::default() };
+    let mut sequence = simulate(&options).unwrap().live;
+    let config = EstimatorConfig::default();
+    let mut model = model_of(&sequence, true);
+    let expected = ColmapFrame::of_recording(&model, &sequence, None, &config).unwrap();
+    let truth = sequence.groundtruth.as_ref().unwrap();
+    let times: Vec<i64> = truth.iter().step_by(truth.len() / 20).flat_map(|row| [row.stamp_ns; 2]).collect();
+    // All images are frames, and all frames are images.
+    sequence.frames =
+        times.iter().step_by(2).map(|&stamp_ns| Frame { stamp_ns, ..Frame::default() }).collect();
+    let of_times = |model: &ColmapModel| {
+        model.images.values().map(|image| image.stamp_ns).eq(times.iter().copied().map(Some))
+    };
+    // Names that are times of frames as they are stay, whatever the offset.
+    stamp_images(&mut model, &sequence, OFFSET_NS);
+    assert!(of_times(&model));
+    for (image, stamp_ns) in model.images.values_mut().zip(&times) {
+        image.name = format!("cam{}/{}.png", image.camera, stamp_ns - OFFSET_NS);
+    }
+    stamp_images(&mut model, &sequence, OFFSET_NS);
+    assert!(of_times(&model));
+    let found = ColmapFrame::of_recording(&model, &sequence, None, &config).unwrap();
+    assert_eq!(found, expected);
+    // Images that are none of the recording's keep what their names say.
+    let first = model.images.values_mut().next().unwrap();
+    first.name = String::from("cam0/77777777777.png");
+    stamp_images(&mut model, &sequence, OFFSET_NS);
+    let first = model.images.values().next().unwrap();
+    assert_eq!((first.stamp_ns, stamp_ns(first)), (None, Some(77_777_777_777)));
 }
 
 #[test]
@@ -185,6 +252,7 @@ fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
         };
         let image = ColmapImage {
             name: format!("{index}.png"),
+            stamp_ns: None,
             camera: 1,
             world_from_camera: view.pose,
             pixels: points.iter().map(pixel).collect(),
@@ -219,7 +287,8 @@ fn images_that_share_no_points_are_named() {
     model.cameras.insert(1, camera());
     for id in 1..3 {
         let name = format!("{id}.png");
-        let image = ColmapImage { name, camera: 1, world_from_camera: Pose::identity(), pixels: Vec::new() };
+        let (camera, world_from_camera) = (1, Pose::identity());
+        let image = ColmapImage { name, stamp_ns: None, camera, world_from_camera, pixels: Vec::new() };
         model.images.insert(id, image);
     }
     let mut extractor = vision::features::open("sift-1", None).unwrap();

@@ -32,7 +32,7 @@ use crate::error::BuildError;
 use crate::feature_source::Extraction;
 use crate::joint_covariance::JointCovariance;
 use crate::keyframe_view::{image_count, keyframes};
-use crate::loop_closure::consistent;
+use crate::loop_closure::{consistent, is_kept};
 use crate::odometry::Odometry;
 use crate::options::{BuildOptions, MapPoses};
 use crate::places::{
@@ -222,6 +222,7 @@ fn constraints(
         stored: vec![stored.prior()],
         ties: Vec::new(),
         own_frame: None,
+        scale_floor: None,
     }
 }
 
@@ -237,7 +238,9 @@ fn joint_covariance(
     let new = views.len();
     views.extend(builder.views.len()..both.poses.len());
     match builder.options.map_poses {
-        MapPoses::Considered => located_covariance(covariance, both, (&views, new), stored, builder.progress),
+        MapPoses::Considered => {
+            located_covariance(covariance, constraints, both, (&views, new), stored, builder.progress)
+        }
         MapPoses::Adjusted => {
             let all = image_count(&builder.views) + views.len() - new;
             let stored = std::slice::from_ref(stored);
@@ -268,7 +271,6 @@ fn tie(
             break;
         }
     }
-    let kept: BTreeSet<[usize; 2]> = relative.iter().map(|relative| relative.views).collect();
-    let places = places.into_iter().filter(|place| kept.contains(&place.relative.views)).collect();
+    let places = places.into_iter().filter(|place| is_kept(&place.relative, &relative)).collect();
     Ok((both, places))
 }

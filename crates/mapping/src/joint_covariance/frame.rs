@@ -9,7 +9,7 @@
 //! ```
 //! with `A` the errors that a yaw about the centre, and a translation, of the map are, `G` the small covariance of the definition,
 //! and `s` the errors of a map whose scale is off by one: its positions relative to the centre. `sigma_s` is added to what the adjustment
-//! states of the scale: every length is measured with the same error of the baseline or of the accelerometer, however many there are.
+//! states of the scale, see `scale`.
 //!
 //! Source: Baarda, "S-transformations and criterion matrices", 1973.
 
@@ -17,14 +17,13 @@ use adjustment::parallel;
 use map::model::{GAUGE_SIGMA_P, GAUGE_SIGMA_YAW};
 use nalgebra::{Matrix4, Matrix6, SMatrix, Vector3, Vector4};
 
+use super::scale::SCALE_SIGMA;
+
 type Shift = SMatrix<f64, 6, 4>;
 type Alignment = SMatrix<f64, 4, 6>;
 
 /// Least mean distance of the keyframes from their centre, m: nearer ones show the yaw by their rotations.
 const LEAST_RADIUS_M: f64 = 0.1;
-
-/// What all lengths of a map may be wrong by in common, as a share: as well as baselines and accelerometers are calibrated.
-const SCALE_SIGMA: f64 = 1e-3;
 
 /// Blocks of `P`, column by column, relative to the map as a whole.
 pub(super) struct WholeMapFrame<F> {

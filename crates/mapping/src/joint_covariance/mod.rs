@@ -16,7 +16,8 @@
 //! Where a recording is located in a map whose poses stay as they are, the blocks of the map stay as it states them, and every block of
 //! the new poses is stated (`covariance_of_new`).
 //!
-//! Of a map that defines its own frame, `P` is relative to the map as a whole ([`frame`]).
+//! Of a map that defines its own frame, `P` is relative to the map as a whole ([`frame`]). What all lengths are wrong by in common is added to
+//! it ([`scale`]).
 //!
 //! Derivation and figures: `docs/src/derivations/joint-covariance.md`.
 //!
@@ -24,6 +25,7 @@
 
 mod anchors;
 mod frame;
+mod scale;
 mod taper;
 #[cfg(test)]
 mod tests;
@@ -32,13 +34,15 @@ use std::collections::BTreeMap;
 
 use adjustment::parallel;
 use map::model::{CommonError, KeyframeCrossCovariance};
-use nalgebra::{Matrix6, Matrix6xX, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Vector3, Vector6};
 use protocol::KeyframeId;
 
 use super::camera::Mounting;
 use super::stored_poses::Posterior;
 use anchors::low_rank_part;
 use frame::WholeMapFrame;
+use scale::with_common_error;
+pub(crate) use scale::{SCALE_SIGMA, ScaleFloor};
 use taper::Taper;
 
 /// Maps of up to this many keyframes state the cross-covariance of every pair: that takes up to 23 MB.
@@ -164,27 +168,46 @@ impl StatedKeyframe {
     }
 }
 
+/// What is stated of the frame and of the scale of all views, beyond what the adjustment says.
+#[derive(Clone, Debug)]
+pub(super) enum FrameAndScale {
+    /// Nothing.
+    AsAdjusted,
+    /// The views define the frame, whose direction of gravity is this unit vector: relative to the views as a whole, with a common error of
+    /// the scale.
+    OfTheWhole(Vector3<f64>),
+    /// The errors of each view, in order, where the scale is off by one standard deviation.
+    WithScaleError(Vec<Vector6<f64>>),
+    /// At least so much of the scale.
+    WithScaleFloor(ScaleFloor),
+}
+
 /// The joint covariance of the poses of some views.
 ///
 /// # Arguments
 /// * `keyframes`: how many keyframes the views are.
 /// * `posterior`: of the views, which are at `positions` (m).
-/// * `own_frame`: direction of gravity, unit vector, where the views define the frame.
 pub(super) fn joint_covariance(
     posterior: &Posterior<'_>,
     (views, keyframes): (&[usize], usize),
     positions: &[Vector3<f64>],
-    own_frame: Option<&Vector3<f64>>,
+    frame_and_scale: FrameAndScale,
     progress: impl FnMut(usize, usize),
 ) -> JointCovariance {
     let column = |j: usize| posterior.column(j);
     let form = FORM.for_keyframes(keyframes, views.len());
+    let (own_frame, errors) = match frame_and_scale {
+        FrameAndScale::AsAdjusted => (None, Vec::new()),
+        FrameAndScale::OfTheWhole(gravity) => (Some(gravity), Vec::new()),
+        FrameAndScale::WithScaleError(errors) => (None, errors),
+        FrameAndScale::WithScaleFloor(floor) => (None, floor.errors(positions, column)),
+    };
     let Blocks { own, common, cross } = match own_frame {
         Some(gravity) => {
-            let frame = WholeMapFrame::new(positions, gravity, column);
+            let frame = WholeMapFrame::new(positions, &gravity, column);
             stated(form, positions, |j| frame.column(j), progress)
         }
-        None => stated(form, positions, column, progress),
+        None => stated(form, positions, |j| with_common_error(column(j), &errors, j), progress),
     };
     JointCovariance {
         own: views.iter().copied().zip(own).collect(),
@@ -202,10 +225,12 @@ pub(super) fn joint_covariance(
 /// # Arguments
 /// * `views`: the new ones, then those of the map; `new` of them are new.
 /// * `posterior`: of these views.
+/// * `errors`: of each new view where the scale of the recording is off by one standard deviation. The map does not share this error: what
+///   is added is the covariance of the new poses alone, so that the whole stays a covariance.
 pub(super) fn covariance_of_new(
     posterior: &Posterior<'_>,
-    views: &[usize],
-    new: usize,
+    (views, new): (&[usize], usize),
+    errors: &[Vector6<f64>],
     mut progress: impl FnMut(usize, usize),
 ) -> JointCovariance {
     let mut joint = JointCovariance::of_independent(BTreeMap::new());
@@ -217,8 +242,10 @@ pub(super) fn covariance_of_new(
             let j = next;
             next += 1;
             progress(j, new);
-            joint.own.insert(views[j], (column[j] + column[j].transpose()) * 0.5);
-            joint.cross.extend((0..j).map(|i| (views[i], views[j], column[i])));
+            let with_error = |i: usize| column[i] + errors[i] * errors[j].transpose();
+            let own = with_error(j);
+            joint.own.insert(views[j], (own + own.transpose()) * 0.5);
+            joint.cross.extend((0..j).map(|i| (views[i], views[j], with_error(i))));
             joint.cross.extend((new..views.len()).map(|i| (views[j], views[i], column[i].transpose())));
         },
     );

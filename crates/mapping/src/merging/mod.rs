@@ -26,8 +26,10 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::aliasing::find_aliases;
+use crate::assemble::sigma_scale;
 use crate::error::BuildError;
-use crate::loop_closure::consistent;
+use crate::joint_covariance::{SCALE_SIGMA, ScaleFloor};
+use crate::loop_closure::{consistent, is_kept};
 use crate::map_frame::map_in_frame;
 use crate::options::BuildOptions;
 use crate::places::{MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
@@ -47,6 +49,8 @@ const MAX_TILT: f64 = 1e-3;
 const ALIGNMENTS: usize = 2;
 /// Maps are refused where more than this part of the landmarks that look alike contradict each other.
 const MAX_CONTRADICTING: f64 = 0.5;
+/// Least variance of a position by which positions are averaged (m^2): that of one that is known exactly.
+const LEAST_VARIANCE: f64 = 1e-10;
 
 /// Statistics of a run of [`merge_maps`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -143,6 +147,7 @@ pub fn merge_maps(
     }
     let all: Vec<usize> = (0..bundle.poses.len()).collect();
     let sigma_px = adjuster.sigma_px();
+    constraints.scale_floor = Some(scale_floor(first, second));
     let joint = covariance_of(
         &[],
         &constraints,
@@ -188,6 +193,20 @@ fn check(first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
         first.info.check_new_session(session)?;
     }
     check_images(first, second)
+}
+
+/// How well the scale of both together may be known: as well as by the better one of them. They are often made with one rig, whose baseline
+/// is off in both, and then they are wrong by the same.
+fn scale_floor(first: &MapContents, second: &MapContents) -> ScaleFloor {
+    let sigma = [first, second].into_iter().filter_map(sigma_scale).fold(SCALE_SIGMA, f64::min);
+    let (mut sum, mut weights) = (Vector3::zeros(), 0.0);
+    for keyframe in &first.keyframes {
+        let pose = &keyframe.global_from_keyframe;
+        let weight = pose.sigma_p_m().powi(2).max(LEAST_VARIANCE).recip();
+        sum += pose.pose.translation * weight;
+        weights += weight;
+    }
+    ScaleFloor { sigma, centre: sum / weights }
 }
 
 fn not_connected(report: &MergeReport) -> MergeError {
@@ -318,8 +337,7 @@ impl<'p> Adjuster<'p> {
                 break;
             }
         }
-        let kept: BTreeSet<[usize; 2]> = relative.iter().map(|relative| relative.views).collect();
-        let places = places.into_iter().filter(|place| kept.contains(&place.relative.views)).collect();
+        let places = places.into_iter().filter(|place| is_kept(&place.relative, &relative)).collect();
         Ok((bundle, places))
     }
 

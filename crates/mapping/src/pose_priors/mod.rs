@@ -63,11 +63,12 @@ impl PosePriors {
     }
 
     /// Takes the errors of positions for correlated in time: each states its covariance times the number of positions
-    /// within the correlation time, so that together they are worth one.
+    /// within the correlation time, so that together they are worth one. Sorts the positions by time.
     ///
     /// # Arguments
     /// * `seconds`: for example 60 for GNSS without corrections.
     pub fn correlate_positions(&mut self, seconds: f64) {
+        self.positions.sort_by_key(|known| known.stamp_ns);
         let half_ns = (seconds * 0.5e9) as i64;
         let stamps_ns: Vec<i64> = self.positions.iter().map(|known| known.stamp_ns).collect();
         for known in &mut self.positions {
@@ -219,4 +220,28 @@ fn information(covariance: &Matrix6<f64>, of_pose: bool) -> Option<Matrix6<f64>>
     }
     let position: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into();
     Some(with_position_covariance(&position.cholesky()?.inverse()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn correlated_positions_state_the_same_in_any_order() {
+        let known = |second: i64| ReferencePosition {
+            stamp_ns: second * 1_000_000_000,
+            position: Vector3::zeros(),
+            covariance: Matrix3::identity(),
+        };
+        let correlated = |seconds: &[i64]| {
+            let positions = seconds.iter().map(|second| known(*second)).collect();
+            let mut priors = PosePriors { positions, ..PosePriors::default() };
+            priors.correlate_positions(4.0);
+            priors.positions
+        };
+        let in_order = correlated(&[0, 1, 2, 3, 100]);
+        let factors: Vec<f64> = in_order.iter().map(|known| known.covariance[(0, 0)]).collect();
+        assert_eq!(factors, [3.0, 4.0, 4.0, 3.0, 1.0]);
+        assert_eq!(correlated(&[100, 3, 1, 0, 2]), in_order);
+    }
 }

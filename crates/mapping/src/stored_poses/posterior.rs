@@ -1,10 +1,10 @@
 //! The joint covariance of all poses after an adjustment in which the tied keyframes of stored maps took part.
 
-use adjustment::{POSE, StateCovariance, parallel, pose_error};
+use adjustment::{POSE, StateCovariance, StateLayout, parallel, pose_error};
 use geometry::pose::Pose;
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
-use super::StoredPoses;
+use super::{Dependence, StoredPoses};
 
 /// The covariance of the errors `[δθ, δp]` in G of some views, column by column.
 pub(crate) struct Posterior<'a> {
@@ -144,16 +144,8 @@ impl<'a> Posterior<'a> {
                 (&of_map.with_tied * gain, Some((map, keyframe, dependence)))
             }
         };
-        let following = self.maps.iter().enumerate().map(|(map, of_map)| {
-            if of_map.with_tied.is_empty() {
-                return DMatrix::zeros(0, 0);
-            }
-            let mut of_tied = super::rows_of(&adjusted, &of_map.tied);
-            of_map.multiply_by_jacobians(&mut of_tied, Matrix6::clone_owned);
-            let own = own.as_ref().filter(|own| own.0 == map).map(|own| &own.2);
-            of_map.stored.propagated(&of_tied, own)
-        });
-        let following: Vec<DMatrix<f64>> = following.collect();
+        let following =
+            self.following(&adjusted, own.as_ref().map(|(map, _, dependence)| (*map, dependence)));
         let by_column =
             own.as_ref().map(|(map, keyframe, _)| self.maps[*map].inverse_jacobian(*keyframe).transpose());
         let block = |wanted: &RequestedPose| -> Matrix6<f64> {
@@ -169,6 +161,50 @@ impl<'a> Posterior<'a> {
             by_column.map_or(block, |by_column| block * by_column)
         };
         self.wanted.iter().map(block).collect()
+    }
+
+    /// Rows of the keyframes of each map that follow, given those of the adjusted views: errors relative to the stored poses.
+    ///
+    /// # Arguments
+    /// * `own`: map and dependence of the keyframe whose column this is, where it follows.
+    fn following(&self, adjusted: &DMatrix<f64>, own: Option<(usize, &Dependence)>) -> Vec<DMatrix<f64>> {
+        let of_map = |(map, of_map): (usize, &AdjustedMap<'_>)| {
+            if of_map.with_tied.is_empty() {
+                return DMatrix::zeros(0, 0);
+            }
+            let mut of_tied = super::rows_of(adjusted, &of_map.tied);
+            of_map.multiply_by_jacobians(&mut of_tied, Matrix6::clone_owned);
+            let own = own.filter(|(of_own, _)| *of_own == map).map(|(_, dependence)| dependence);
+            of_map.stored.propagated(&of_tied, own)
+        };
+        self.maps.iter().enumerate().map(of_map).collect()
+    }
+
+    /// How far the wanted views move where the states do: the keyframes that follow as far as those of their map that were adjusted say,
+    /// those of a map that stays as it is not at all.
+    ///
+    /// # Arguments
+    /// * `states`: changes of all states, in the order of the layout.
+    pub(crate) fn moved(&self, states: &DVector<f64>, layout: StateLayout) -> Vec<Vector6<f64>> {
+        let mut adjusted = DMatrix::zeros(POSE * self.adjusted.len(), 1);
+        for (at, &view) in self.adjusted.iter().enumerate() {
+            let of_view = states.fixed_rows::<POSE>(layout.pose(view).start);
+            adjusted.fixed_view_mut::<POSE, 1>(POSE * at, 0).copy_from(&of_view);
+        }
+        let following = self.following(&adjusted, None);
+        let moved = |(wanted, considered): (&RequestedPose, &Option<(usize, usize)>)| -> Vector6<f64> {
+            match *wanted {
+                _ if considered.is_some() => Vector6::zeros(),
+                RequestedPose::Adjusted(position) => {
+                    adjusted.fixed_view::<POSE, 1>(POSE * position, 0).into_owned()
+                }
+                RequestedPose::Following { map, keyframe } => {
+                    let of_keyframe = following[map].fixed_view::<POSE, 1>(POSE * keyframe, 0);
+                    self.maps[map].inverse_jacobian(keyframe) * of_keyframe
+                }
+            }
+        };
+        self.wanted.iter().zip(&self.considered).map(moved).collect()
     }
 }
 

@@ -200,6 +200,27 @@ fn so_are_those_of_two_maps_one_of_which_has_no_frame() {
     assert_the_same(&maps, |map| map == 0);
 }
 
+/// A column of the covariance is a change of the states by which the keyframes that follow move as their rows of it say.
+#[test]
+fn keyframes_that_follow_move_as_their_covariance_with_what_was_adjusted_says() {
+    let mut rng = StdRng::seed_from_u64(8);
+    let maps = [random_map(&mut rng, 3.0), random_map(&mut rng, 3.0)];
+    let mut adjustment = Adjustment::new(&maps, &TIED, |map| map == 0);
+    let states = adjustment.adjust(&mut StdRng::seed_from_u64(9));
+    let views: Vec<usize> = (0..adjustment.layout.views).collect();
+    let posterior = Posterior::new(&states, &adjustment.poses, &views, &adjustment.stored);
+    let tied = TIED[1];
+    let changes = states.columns(adjustment.layout.pose(tied));
+    let column = posterior.column(tied);
+    for axis in 0..POSE {
+        let moved = posterior.moved(&changes.column(axis).into_owned(), adjustment.layout);
+        for (view, (moved, block)) in moved.iter().zip(&column).enumerate() {
+            let apart = (moved - block.column(axis)).amax();
+            assert!(apart < 1e-9 * block.amax().max(1e-9), "view {view}: {apart}");
+        }
+    }
+}
+
 #[test]
 fn a_map_that_lists_pairs_says_the_same_as_one_with_common_errors() {
     let common = random_map(&mut StdRng::seed_from_u64(3), 3.0);

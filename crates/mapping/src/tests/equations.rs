@@ -6,7 +6,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 use super::dense;
-use crate::joint_covariance::joint_covariance;
+use crate::joint_covariance::{FrameAndScale, joint_covariance};
 use crate::stored_poses::Posterior;
 
 /// Random reduced equations of poses in a chain with a few loops, and the same as a dense matrix.
@@ -40,7 +40,8 @@ fn the_joint_covariance_is_the_inverse_of_the_equations() {
     let views = [0, 2, 3, 4, 5, 7, 8, 9, 11];
     let covariance = equations.covariance().unwrap();
     let posterior = Posterior::new(&covariance, &[], &views, &[]);
-    let joint = joint_covariance(&posterior, (&views, views.len()), &[Vector3::zeros(); 9], None, |_, _| ());
+    let (whole, as_adjusted) = ((&views[..], views.len()), FrameAndScale::AsAdjusted);
+    let joint = joint_covariance(&posterior, whole, &[Vector3::zeros(); 9], as_adjusted, |_, _| ());
     let inverse = full.try_inverse().unwrap();
     let expected = DMatrix::from_fn(54, 54, |row, column| {
         inverse[(6 * views[row / 6] + row % 6, 6 * views[column / 6] + column % 6)]
@@ -58,7 +59,8 @@ fn what_a_large_map_leaves_out_leaves_a_covariance() {
     let positions: Vec<_> = (0..420).map(|i| Vector3::new(f64::from(i), 0.0, 0.0)).collect();
     let views: Vec<usize> = (0..420).collect();
     let posterior = Posterior::new(&covariance, &[], &views, &[]);
-    let joint = joint_covariance(&posterior, (&views, views.len()), &positions, None, |_, _| ());
+    let (whole, as_adjusted) = ((&views[..], views.len()), FrameAndScale::AsAdjusted);
+    let joint = joint_covariance(&posterior, whole, &positions, as_adjusted, |_, _| ());
     assert!(joint.cross.len() < 420 * 419 / 2 && joint.cross.len() > 420 * 30, "{}", joint.cross.len());
     let own: Vec<_> = joint.own.values().copied().collect();
     let mut stated = dense(&own, joint.cross);

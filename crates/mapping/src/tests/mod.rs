@@ -21,6 +21,7 @@ use crate::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 mod equations;
 mod extension;
 mod rig;
+mod scale;
 mod selection;
 
 pub(crate) fn normal(rng: &mut StdRng) -> f64 {

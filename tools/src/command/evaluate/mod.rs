@@ -171,6 +171,7 @@ fn evaluate(args: &Args) -> anyhow::Result<Report> {
     let aligned = align(&positions, &alignment).context("the trajectories cannot be compared")?;
     let absolute = absolute_errors(&truth.poses, &estimate.poses, &pairs, &aligned);
     let relative = relative_errors(&truth.poses, &estimate.poses, &pairs, delta(args)?);
+    let (nees, nees_left_out) = consistency(&truth, &estimate, &pairs, &aligned);
     Ok(Report {
         pairs: pairs.len(),
         scored,
@@ -179,7 +180,8 @@ fn evaluate(args: &Args) -> anyhow::Result<Report> {
         ate_deg: absolute.rotation(),
         rpe_m: relative.translation(),
         rpe_deg: relative.rotation(),
-        nees: consistency(&truth, &estimate, &pairs, &aligned),
+        nees,
+        nees_left_out,
     })
 }
 
@@ -304,13 +306,16 @@ fn delta(args: &Args) -> anyhow::Result<Delta> {
 }
 
 /// NEES, where the estimate has covariances. Alignment moves them along.
+///
+/// # Returns
+/// The NEES, and of how many poses the covariance is not positive definite, which are left out of it.
 fn consistency(
     truth: &TrajectoryFile,
     estimate: &TrajectoryFile,
     pairs: &[Pair],
     moved: &Pose,
-) -> Option<NeesReport> {
-    let covariances = estimate.covariances.as_ref()?;
+) -> (Option<NeesReport>, usize) {
+    let Some(covariances) = &estimate.covariances else { return (None, 0) };
     let mut sum = NeesSum::default();
     for pair in pairs {
         let pose = estimate.poses[pair.estimate].pose;
@@ -320,10 +325,11 @@ fn consistency(
         }
     }
     let samples = sum.samples();
-    Some(NeesReport {
-        mean: sum.mean()?,
+    let report = sum.mean().map(|mean| NeesReport {
+        mean,
         samples,
         bounds_3: nees_bounds(3, samples, CONFIDENCE),
         bounds_6: nees_bounds(6, samples, CONFIDENCE),
-    })
+    });
+    (report, pairs.len() - samples)
 }

@@ -19,6 +19,8 @@ pub(super) struct Report {
     pub(super) rpe_m: Option<Statistics>,
     pub(super) rpe_deg: Option<Statistics>,
     pub(super) nees: Option<NeesReport>,
+    /// Poses that are not in the NEES, because their covariance is not positive definite.
+    pub(super) nees_left_out: usize,
 }
 
 /// Consistency, with the bounds of as many *independent* samples.
@@ -77,6 +79,12 @@ pub(super) fn print(report: &Report, args: &Args) {
             bounds(nees.bounds_3),
             nees.mean.pose,
             bounds(nees.bounds_6)
+        );
+    }
+    if report.nees_left_out > 0 {
+        println!(
+            "NEES without {} of {} poses, whose covariance is not positive definite",
+            report.nees_left_out, report.pairs
         );
     }
 }

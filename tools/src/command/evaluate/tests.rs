@@ -110,3 +110,20 @@ fn kitti_is_paired_by_row_and_a_camera_without_scale_is_scaled() {
     std::fs::write(folder.path().join("short.txt"), short.join("\n")).unwrap();
     assert!(line("short.txt").contains("30 rows and the estimate 29"));
 }
+
+#[test]
+fn poses_whose_covariance_cannot_be_used_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut rows, _) = files(folder.path());
+    let (truth, path) = (folder.path().join("truth.tum"), folder.path().join("states.csv"));
+    let whole = report(&truth, &path, "");
+    assert_eq!(whole.nees_left_out, 0);
+    for pose in rows[300..310].iter_mut().filter_map(|row| row.global_from_imu.as_mut()) {
+        pose.covariance.fill(0.0);
+    }
+    states::write(&path, &rows).unwrap();
+    let less = report(&truth, &path, "");
+    assert_eq!((less.pairs, less.nees_left_out), (whole.pairs, 10));
+    assert_eq!(serde_json::to_value(&less).unwrap()["nees_left_out"], 10);
+    assert_eq!(less.nees.unwrap().samples, whole.nees.unwrap().samples - 10);
+}

@@ -1,6 +1,6 @@
 //! The map of the first flight.
 
-use crate::demo::GRAVITY_IN_GLOBAL;
+use crate::demo::{CREATED_BY, GRAVITY_IN_GLOBAL};
 use anyhow::{Context as _, Result};
 use geometry::{Pose, rotation};
 use map::MapContents;
@@ -63,7 +63,7 @@ impl MappedRoom {
         };
         let mut options = BuildOptions::default();
         options.name = String::from("room");
-        options.created_by = String::from("driftless demo");
+        options.created_by = String::from(CREATED_BY);
         options.gravity_in_global = Some(GRAVITY_IN_GLOBAL);
         options.sigma_px = None;
         let priors = PosePriors::default();

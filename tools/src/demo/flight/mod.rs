@@ -11,11 +11,13 @@ pub mod conditions;
 mod mapped;
 mod picture;
 
+use super::CREATED_BY;
 use super::robot::{Run, Variant};
 use super::rows::{Row, RowSums};
 use crate::in_process::{LocalServer, load_map};
 use crate::open_page::announce;
-use anyhow::{Context as _, Result};
+use crate::own_map::is_replaceable;
+use anyhow::{Context as _, Result, ensure};
 use conditions::FlightConditions;
 pub use mapped::MapFigures;
 use mapped::MappedRoom;
@@ -68,7 +70,8 @@ pub struct FlightDemo {
 /// What was computed, and the map server, which still runs.
 ///
 /// # Errors
-/// A folder that cannot be written, no free port for the server, a run that fails.
+/// A folder that cannot be written, or that has a map or a recording of others where these are written; no free port
+/// for the server, a run that fails.
 pub fn run_flight(
     out: &Path,
     conditions: &FlightConditions,
@@ -76,17 +79,23 @@ pub fn run_flight(
     progress: &mut dyn FnMut(&str),
 ) -> Result<(FlightDemo, LocalServer)> {
     std::fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+    let (database, root) = (out.join("map.db"), out.join("live"));
+    let is_again = is_replaceable(&database, CREATED_BY)?;
+    ensure!(
+        is_again || !root.join("mav0").exists(),
+        "{} is a recording, and is not replaced: name another folder with --out, or remove it",
+        root.display()
+    );
     progress("simulating a room");
     let (simulation, images) = conditions.simulation();
     let scenario = simulate_images(&simulation, &images)?;
     let mut flight = scenario.map;
     render(&mut flight, "map", progress)?;
-    let database = out.join("map.db");
     let mapped = MappedRoom::build(flight, &database, progress)?;
     let mut live = scenario.live;
     render(&mut live, "live", progress)?;
     mapped.place_truth(&mut live);
-    live.root = out.join("live");
+    live.root = root;
     write_without_images(&live)?;
     let mut server = LocalServer::start(vec![("demo".to_owned(), load_map(&database)?)])?;
     if is_shown {

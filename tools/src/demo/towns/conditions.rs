@@ -1,6 +1,6 @@
 //! What the demo simulates, and the same in sentences for its table and its picture.
 
-use crate::demo::GRAVITY_IN_GLOBAL;
+use crate::demo::{CREATED_BY, GRAVITY_IN_GLOBAL};
 use mapping::{BuildOptions, StoredPoses};
 use sensors::ImuNoise;
 use serde::Serialize;
@@ -89,6 +89,7 @@ impl Conditions {
 /// How the map is built: the poses that the survey gave are stated with their independent errors.
 pub(super) fn build_options() -> BuildOptions {
     let mut options = BuildOptions::default();
+    options.created_by = String::from(CREATED_BY);
     options.gravity_in_global = Some(GRAVITY_IN_GLOBAL);
     options.stored_poses = StoredPoses::Given;
     options

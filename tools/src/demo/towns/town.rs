@@ -1,8 +1,10 @@
 //! One seed of the demo: a simulated town, its surveyed map, a server of that map, and a robot's runs.
 
 use super::conditions::{Conditions, build_options};
+use crate::demo::CREATED_BY;
 use crate::demo::robot::{Run, Variant};
 use crate::in_process::{LocalServer, load_map};
+use crate::own_map::is_replaceable;
 use anyhow::{Context as _, Result};
 use map::store::save_map;
 use mapping::{BuildReport, build_map};
@@ -27,7 +29,7 @@ pub(super) struct Town {
 }
 
 impl Town {
-    /// Simulates a town and builds its map in `folder`.
+    /// Simulates a town and builds its map in `folder`, where no other map may be than one of the demo.
     pub(super) fn build(
         conditions: &Conditions,
         seed: u64,
@@ -36,6 +38,8 @@ impl Town {
     ) -> Result<Self> {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        let database = folder.join("map.db");
+        is_replaceable(&database, CREATED_BY)?;
         progress(&format!("seed {seed}: simulating a town and two runs through it"));
         let scenario = simulate(&conditions.simulation(seed))?;
         progress(&format!("seed {seed}: building the map"));
@@ -45,7 +49,7 @@ impl Town {
         let keyframes =
             contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
         let keyframes = keyframes.collect();
-        save_map(&folder.join("map.db"), &contents, true)?;
+        save_map(&database, &contents, true)?;
         Ok(Self { seed, live: scenario.live, map, keyframes, folder: folder.to_path_buf() })
     }
 
