@@ -105,43 +105,39 @@ fn a_place_of_which_half_has_changed_is_still_found() {
 }
 
 #[test]
-fn of_learned_features_only_what_fits_the_claimed_pose_well_confirms_a_part() {
+fn only_what_fits_the_claimed_pose_well_confirms_a_part() {
     let place = dense_place();
-    let map_of = |extractor: &str| {
-        let mut contents = place.map.clone();
-        contents.info.extractor = extractor.to_owned();
-        LoadedMap::from_contents(contents).unwrap()
-    };
     // One keyframe: where several match a feature, one of them may fit by the errors of the map.
     let mut options = RecognitionOptions::default();
     options.candidates = 1;
-    let mut rng = StdRng::seed_from_u64(33);
-    let mut sums = [0.0; 2];
-    for _ in 0..5 {
-        let truth = pose(&place, &mut rng);
-        let mut request = request(&place, &truth, &mut rng, |_| true);
+    for extractor in ["sift-1", "edgepoint2-1"] {
+        let mut contents = place.map.clone();
+        contents.info.extractor = extractor.to_owned();
+        let map = LoadedMap::from_contents(contents).unwrap();
         let confirmed = |request: &LocalizeRequest| {
-            ["sift-1", "edgepoint2-1"].map(|extractor| {
-                let mut request = request.clone();
-                request.features.extractor = extractor.to_owned();
-                let (_, report) = map_of(extractor).localize_with_report(&request, &options).unwrap();
-                report.hypotheses[0].coverage.of_image().confirmed as f64
-            })
+            let (_, report) = map.localize_with_report(request, &options).unwrap();
+            report.hypotheses[0].coverage.of_image().confirmed
         };
-        let [classical, learned] = confirmed(&request);
-        assert!(learned >= 0.9 * classical, "{learned}, {classical}");
-        // What one half of the image shows is nearly where an inlier is no longer one.
-        let off = 0.8 * options.inlier_angle * request.camera.focal[0];
-        let half = f64::from(request.camera.width) / 2.0;
-        for pixel in request.features.pixels.iter_mut().filter(|pixel| f64::from(pixel[0]) < half) {
-            let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-            pixel[0] += (off * angle.cos()) as f32;
-            pixel[1] += (off * angle.sin()) as f32;
+        let mut rng = StdRng::seed_from_u64(33);
+        let (mut whole, mut blurred) = (0, 0);
+        for _ in 0..3 {
+            let truth = pose(&place, &mut rng);
+            let mut request = request(&place, &truth, &mut rng, |_| true);
+            request.features.extractor = extractor.to_owned();
+            whole += confirmed(&request);
+            // What one half of the image shows is nearly where an inlier is no longer one.
+            let off = 0.8 * options.inlier_angle * request.camera.focal[0];
+            let half = f64::from(request.camera.width) / 2.0;
+            for pixel in request.features.pixels.iter_mut().filter(|pixel| f64::from(pixel[0]) < half) {
+                let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+                pixel[0] += (off * angle.cos()) as f32;
+                pixel[1] += (off * angle.sin()) as f32;
+            }
+            blurred += confirmed(&request);
         }
-        sums = std::array::from_fn(|at| sums[at] + confirmed(&request)[at]);
+        // The parts of the other half are confirmed.
+        assert!(whole > 30 && 10 * blurred <= 9 * whole, "{extractor}: {blurred} of {whole}");
     }
-    // The parts of the other half are confirmed with both.
-    assert!(sums[1] <= 0.9 * sums[0], "{sums:?}");
 }
 
 /// The same hall once more beside itself, with landmarks and keyframes of its own.
