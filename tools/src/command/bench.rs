@@ -145,7 +145,7 @@ fn build(args: &Args, name: &str, recording: &Path, database: &Path) -> Result<(
     let mut bar = StageBar::new(args.json);
     let built = build_map::build(&settings, None, &mut |stage, done, all| bar.show(stage, done, all));
     let (mut contents, _) = built.with_context(|| format!("{name} cannot be mapped"))?;
-    contents.info.created_by = CREATED_BY.to_owned();
+    CREATED_BY.clone_into(&mut contents.info.created_by);
     bar.finish();
     let seconds = begin.elapsed().as_secs_f64();
     let recording = Recording::open_with(recording, &args.calibration.files())?;
