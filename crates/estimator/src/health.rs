@@ -215,7 +215,7 @@ impl Health {
         if (0..state.dim()).any(|k| variance(k).is_nan() || variance(k) < 0.0) {
             return Err(Divergence::NegativeVariance);
         }
-        let sigma = (VELOCITY..VELOCITY + 3).map(variance).fold(0.0, f64::max).sqrt();
+        let sigma = velocity_variance(&state.imu.velocity, covariance).sqrt();
         if sigma > MAX_VELOCITY_SIGMA {
             return Err(Divergence::VelocityUnknown { sigma, limit: MAX_VELOCITY_SIGMA });
         }
@@ -250,6 +250,19 @@ impl Health {
         }
         Ok(())
     }
+}
+
+/// The largest variance of the velocity along an axis of L (m^2/s^2) but for the part that is the yaw's: where that is unknown, so is the direction
+/// of a velocity that the body knows.
+fn velocity_variance(velocity: &Vector3<f64>, covariance: &JointCovariance) -> f64 {
+    const YAW: usize = 2;
+    let turned = Vector3::z().cross(velocity);
+    let active = covariance.active();
+    let along = |k: usize| {
+        let (own, with_yaw) = (active[(VELOCITY + k, VELOCITY + k)], active[(VELOCITY + k, YAW)]);
+        own - 2.0 * turned[k] * with_yaw + turned[k].powi(2) * active[(YAW, YAW)]
+    };
+    (0..3).map(along).fold(0.0, f64::max)
 }
 
 /// Fraction of the tracks that agree with the state, and how many were tested; `None` without any.
@@ -316,6 +329,21 @@ mod tests {
         let nothing_tested = health_after(std::iter::repeat_n(image(0, 0, 8, 0), 40));
         assert_eq!(nothing_tested.check_tracks(), Ok(()));
         assert!(!nothing_tested.is_suspicious());
+    }
+
+    /// A vehicle at 12 m/s whose heading nobody knows after two seconds without readings.
+    #[test]
+    fn a_velocity_that_is_uncertain_with_the_yaw_only_is_known() {
+        let velocity = Vector3::new(12.0, 1.0, 0.2);
+        let mut by_yaw = nalgebra::DVector::zeros(15);
+        by_yaw[2] = 1.0;
+        by_yaw.rows_mut(VELOCITY, 3).copy_from(&Vector3::z().cross(&velocity));
+        let known = nalgebra::DMatrix::identity(15, 15) * 0.01;
+        let of = |covariance| velocity_variance(&velocity, &JointCovariance::new(covariance, 4)).sqrt();
+        let turned = of(&known + &by_yaw * by_yaw.transpose() * 3.0);
+        assert!(turned < 2.0, "{turned}");
+        by_yaw[2] = 0.0;
+        assert!(of(known + &by_yaw * by_yaw.transpose() * 3.0) > MAX_VELOCITY_SIGMA);
     }
 
     #[test]

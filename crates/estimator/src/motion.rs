@@ -149,7 +149,8 @@ impl MotionPredictor {
             }
             Some(before) => before,
         };
-        self.propagation.step(&from, &reading);
+        let spacing_ns = before.map_or(0, |before| reading.stamp_ns - before.stamp_ns);
+        self.propagation.step_within(&from, &reading, spacing_ns);
         let propagated = self.propagation.end();
         let transition = &propagated.transition;
         let covariance = transition * self.covariance * transition.transpose() + propagated.noise;

@@ -39,14 +39,14 @@ pub enum Refusal {
     /// Its pixels do not fit its own trajectory.
     #[error(
         "it contradicts itself: its pixels fit its trajectory to {sigma_px:.1} px, those of the map's first session to {map_px:.1} px, and \
-         less than {limit:.1} px is allowed. Is the calibration the robot's? (`driftless check-calibration`)"
+         at most {limit:.1} px, and less than 5, are allowed. Is the calibration the robot's? (`driftless check-calibration`)"
     )]
     Pixels {
         /// Pixel noise of the session (px).
         sigma_px: f64,
         /// That of the session that the map began with (px).
         map_px: f64,
-        /// From which on a session is refused (px).
+        /// The largest that is allowed (px).
         limit: f64,
     },
     /// The map moves its keyframes relative to each other by more than both state.

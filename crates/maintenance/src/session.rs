@@ -245,12 +245,10 @@ fn check_consistency(
     check_places(extension, settings)?;
     let sigma_px = extension.sigma_px;
     let map_px = map.info.first_sigma_px();
-    let mut limit = settings.max_pixel_ratio * map_px;
-    if map_px < MAX_SIGMA_PX {
-        // More is not estimated: the largest may stand for any noise.
-        limit = limit.min(MAX_SIGMA_PX);
-    }
-    if sigma_px >= limit {
+    let limit = settings.max_pixel_ratio * map_px;
+    // More is not estimated: the largest may stand for any noise.
+    let is_at_limit = sigma_px >= MAX_SIGMA_PX && map_px < MAX_SIGMA_PX;
+    if sigma_px > limit || is_at_limit {
         return Err(Refusal::Pixels { sigma_px, map_px, limit });
     }
     let (chi_square, freedom) = (extension.map_chi_square, extension.map_freedom);

@@ -37,7 +37,7 @@ pub struct EstimatorSupervisor {
     config: EstimatorConfig,
     rig: Vec<CalibratedCamera>,
     phase: Phase,
-    /// Time of the newest initialization, nanoseconds.
+    /// Time of the newest initialization by the clock of the cameras, nanoseconds.
     started_ns: i64,
     last_trusted: Option<LastTrustedPose>,
     /// Noise levels that the last filter learned.
@@ -233,7 +233,7 @@ impl EstimatorSupervisor {
         for reading in self.wheel_readings.drain(..) {
             let _ = estimator.wheels(reading);
         }
-        self.started_ns = initial.stamp_ns;
+        self.started_ns = initial.stamp_ns - self.config.imu_stamp_ns(0);
         self.phase = Phase::Running(Box::new(estimator));
         Ok(Some(method))
     }

@@ -40,15 +40,23 @@ impl ReleaseCache {
         Release::decode_any(&text).ok()
     }
 
+    /// Notes which release is served from now on; the segments of others stay.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Cache`].
+    pub fn note_release(&self, release: &Release) -> Result<(), ReleaseError> {
+        let path = self.folder.join(RELEASE);
+        let text = serde_json::to_vec_pretty(release)
+            .map_err(|error| ReleaseError::Cache { path: path.clone(), source: error.into() })?;
+        write(&path, &text)
+    }
+
     /// Notes which release is served now, and removes the segments that it does not need.
     ///
     /// # Errors
     /// [`ReleaseError::Cache`].
     pub fn keep_release(&self, release: &Release) -> Result<(), ReleaseError> {
-        let path = self.folder.join(RELEASE);
-        let text = serde_json::to_vec_pretty(release)
-            .map_err(|error| ReleaseError::Cache { path: path.clone(), source: error.into() })?;
-        write(&path, &text)?;
+        self.note_release(release)?;
         let needed: BTreeSet<&str> = release.segments().map(|segment| segment.sha256.as_str()).collect();
         let segments = self.folder.join(SEGMENTS);
         let failed = |source| ReleaseError::Cache { path: segments.clone(), source };

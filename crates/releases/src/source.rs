@@ -64,11 +64,20 @@ impl ReleaseSource {
         Ok(release)
     }
 
-    /// Notes which release is served now. A cache that cannot be written is logged and not used.
+    /// Notes which release is served now, and removes what others need. A cache that cannot be written is logged and not used.
     pub fn keep(&self, release: &Release) {
-        if let Err(error) = self.cache.keep_release(release) {
-            let reason = with_causes(&error);
-            tracing::warn!(reason, "the release is not kept: a restart needs the store");
-        }
+        warn_of(self.cache.keep_release(release));
+    }
+
+    /// Notes which release is served from now on, while the former one may still need what it has.
+    pub fn note(&self, release: &Release) {
+        warn_of(self.cache.note_release(release));
+    }
+}
+
+fn warn_of(kept: Result<(), ReleaseError>) {
+    if let Err(error) = kept {
+        let reason = with_causes(&error);
+        tracing::warn!(reason, "the release is not kept: a restart needs the store");
     }
 }

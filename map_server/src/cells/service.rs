@@ -211,7 +211,8 @@ struct Running {
 
 impl Running {
     async fn run(mut self) {
-        self.keep(&self.release).await;
+        self.note(&self.release).await;
+        self.source.keep(&self.release);
         let mut watch = tokio::time::interval(self.options.watch);
         watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
         watch.reset();
@@ -229,8 +230,8 @@ impl Running {
     }
 
     /// Notes which release is served from now on.
-    async fn keep(&self, release: &Release) {
-        self.source.keep(release);
+    async fn note(&self, release: &Release) {
+        self.source.note(release);
         let served = MapVersion {
             identity: release.identity(),
             version: release.map.version,
@@ -360,7 +361,7 @@ impl Running {
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;
         let change = change.unwrap_or_default();
-        self.keep(&release).await;
+        self.note(&release).await;
         let new_cells = self.map.change_over(directory, cells, token);
         tracing::info!(
             name = self.name,
@@ -387,6 +388,7 @@ impl Running {
         // The new version answers already: what waits for the network comes after the notice.
         let published = change::publish(&self.session, notice).await;
         let added = self.map.add(new_cells).await;
+        self.source.keep(&self.release);
         if let Err(error) = published.and(added) {
             let reason = format!("{:#}", anyhow::Error::from(error));
             tracing::warn!(

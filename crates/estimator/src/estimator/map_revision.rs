@@ -165,7 +165,7 @@ impl Estimator {
                 return Ok(Err(Rejection::UnannouncedMapVersion { answered, held }));
             }
         }
-        let before = (self.state.clone(), self.covariance.clone());
+        let before = (self.state.clone(), self.covariance.clone(), self.repeated_views.clone());
         let known_in_map = self.known_in_map;
         self.remove_transform();
         self.covariance.invalidate(&self.held_keyframes());
@@ -173,7 +173,7 @@ impl Estimator {
         // With the state from before, and a version changes little.
         self.known_in_map = known_in_map;
         if outcome.is_err() {
-            (self.state, self.covariance) = before;
+            (self.state, self.covariance, self.repeated_views) = before;
         } else {
             self.map_version.begin(answered, query_ns);
             self.map_version.belong_to(answer.map_identity);

@@ -265,12 +265,12 @@ impl Estimator {
         let point = Linearization { estimate, at, first_position };
         let mut outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
         if let (Err(Rejection::Far { .. }), Some(missing)) = (&outcome, self.missing_noise()) {
-            let before = self.covariance.clone();
+            let before = (self.covariance.clone(), self.repeated_views.clone());
             self.add_transform_noise(missing);
             outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
             match outcome {
                 Ok(()) => report.inflated = true,
-                Err(_) => self.covariance = before,
+                Err(_) => (self.covariance, self.repeated_views) = before,
             }
         }
         if outcome.is_err() && report.initialized {
@@ -340,13 +340,18 @@ impl Estimator {
                 point.at = self.next_point(clone, &information, &point)?;
                 continue;
             }
-            if !exact {
+            let view = if exact { None } else { self.view_of(clone, answer, verified) };
+            if let Some(view) = &view {
                 // Gates are for what an answer says, whatever has been said before.
-                information.scale(self.weight_of_view(clone, answer, verified));
+                information.scale(self.weight_of(view));
             }
             let before = BeforeUpdate::of(&self.state.imu, &self.covariance);
             self.covariance.information_update(&information, &mut self.correction)?;
             self.state.retract(&self.correction);
+            if let Some(view) = &view {
+                let sigmas = self.sigmas_in_map();
+                self.repeated_views.note(view, sigmas);
+            }
             if let Some(noise) = noise {
                 self.noise.accept_matches(noise);
                 if !report.initialized {
@@ -358,18 +363,21 @@ impl Estimator {
         Ok(Ok(()))
     }
 
-    /// How much an answer counts that is used: less where others were used from the same place.
-    fn weight_of_view(&mut self, clone: CloneId, answer: &MapAnswer, verified: &VerifiedAnswer) -> f64 {
-        let Some(index) = self.state.clone_index(clone) else { return 1.0 };
-        let view = View {
+    /// What an answer shows, and from where.
+    fn view_of(&self, clone: CloneId, answer: &MapAnswer, verified: &VerifiedAnswer) -> Option<View> {
+        Some(View {
             camera: answer.camera,
             keyframe: verified.best,
-            local_from_imu: self.state.clones[index].local_from_imu,
+            local_from_imu: self.state.clones[self.state.clone_index(clone)?].local_from_imu,
             depth_m: median_depth(answer, verified),
-        };
-        let weight = self.repeated_views.weight(&view);
-        self.repeated_views.note(&view);
-        weight
+        })
+    }
+
+    /// How much an answer counts that is used: less where others were used from the same place, once the position is known well enough.
+    fn weight_of(&mut self, view: &View) -> f64 {
+        let sigmas = self.sigmas_in_map();
+        let weight = self.repeated_views.weight(view, sigmas);
+        if self.known_in_map { weight } else { 1.0 }
     }
 
     /// Removes the keyframes that a rejected answer pulled.

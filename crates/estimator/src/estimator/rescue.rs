@@ -99,6 +99,7 @@ impl Estimator {
     pub(super) fn note_odometry_failure(&mut self) {
         self.support.clear();
         self.map_initializer.note_odometry_failure();
+        self.repeated_views.clear();
         self.forget_located();
     }
 

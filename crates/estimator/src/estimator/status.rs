@@ -160,7 +160,13 @@ impl Estimator {
     /// Standard deviation of the position in G along its worst axis by the answers, metres, whatever the watch over the map says of
     /// them; infinite without one.
     fn sigma_in_map(&self) -> f64 {
-        self.filtered_global_from_imu().map_or(f64::INFINITY, |global| worst_sigmas(&global.covariance).1)
+        self.sigmas_in_map().1
+    }
+
+    /// Standard deviations of the pose in G about and along the worst axes: rad, metres; infinite without one.
+    pub(super) fn sigmas_in_map(&self) -> (f64, f64) {
+        let global = self.filtered_global_from_imu();
+        global.map_or((f64::INFINITY, f64::INFINITY), |global| worst_sigmas(&global.covariance))
     }
 
     /// From the first answer on after which the position is known within

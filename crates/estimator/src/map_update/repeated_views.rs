@@ -4,6 +4,9 @@
 //! twice a second for hours, and its answers are not independent: with pixels of noise `c^2` that all of them have in common and `q^2` of each,
 //! `N` answers know as much as one with the variance `c^2 + q^2 / N`, and so at most twice as much as the first where both are alike. The answer
 //! number `n` from a place counts `1 / n^2` times: all of them count 1.64 times.
+//!
+//! That holds for what the state still knows of them: where it has become much less certain since, by drift or by a failure of odometry, the next
+//! answer is a first one again. With steps of [`FORGOTTEN`] a standing robot is as uncertain as one or two answers leave it, however long it stands.
 
 use crate::KeyframeId;
 use geometry::Pose;
@@ -13,7 +16,9 @@ const NEAR: f64 = 0.02;
 /// And turned by less than this, rad.
 const TURNED_RAD: f64 = 0.05;
 /// Places that are remembered: one for each camera and keyframe.
-const MOST: usize = 16;
+const MOST: usize = 64;
+/// Growth of a standard deviation with which the state has forgotten the answers from a place.
+const FORGOTTEN: f64 = 1.5;
 
 /// What tells the views of one place from each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,10 +34,10 @@ pub(crate) struct View {
 }
 
 impl View {
-    fn is_repeated_by(&self, other: &Self) -> bool {
+    fn is_near(&self, other: &Self) -> bool {
         let apart = self.local_from_imu.local(&other.local_from_imu);
         let (turned, moved) = (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm());
-        turned < TURNED_RAD && moved < NEAR * other.depth_m
+        turned < TURNED_RAD && moved < NEAR * self.depth_m
     }
 
     fn is_alike(&self, other: &Self) -> bool {
@@ -40,36 +45,64 @@ impl View {
     }
 }
 
-/// The views of the answers that were used, as long as the robot is where it was.
+/// A view, and the answers to it.
+#[derive(Clone, Debug)]
+struct AnsweredView {
+    first: View,
+    answers: u32,
+    /// The least standard deviations of the pose in G after any of them: rad, metres.
+    sigmas: (f64, f64),
+}
+
+impl AnsweredView {
+    /// Whether a state with these standard deviations knows less than the answers told.
+    fn is_forgotten(&self, sigmas: (f64, f64)) -> bool {
+        sigmas.0 > FORGOTTEN * self.sigmas.0 || sigmas.1 > FORGOTTEN * self.sigmas.1
+    }
+}
+
+/// The views of the answers that were used, as long as the robot is where it was. The newest one is the last.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RepeatedViews {
-    /// The first view of each place, and how many answers there were since.
-    views: Vec<(View, u32)>,
+    views: Vec<AnsweredView>,
 }
 
 impl RepeatedViews {
-    /// How much an answer counts.
-    pub(crate) fn weight(&self, view: &View) -> f64 {
-        let before = self.views.iter().find(|(known, _)| known.is_alike(view) && known.is_repeated_by(view));
-        before.map_or(1.0, |(_, answers)| f64::from(answers.saturating_add(1)).powi(-2))
-    }
-
-    /// What the answers told holds no longer, or is less certain.
-    pub(crate) fn clear(&mut self) {
-        self.views.clear();
+    /// How much an answer counts; views of other places are forgotten.
+    ///
+    /// # Arguments
+    /// * `sigmas`: standard deviations of the pose in G before it: rad, metres.
+    pub(crate) fn weight(&mut self, view: &View, sigmas: (f64, f64)) -> f64 {
+        self.views.retain(|known| known.first.is_near(view));
+        let Some(at) = self.views.iter().position(|known| known.first.is_alike(view)) else { return 1.0 };
+        if self.views[at].is_forgotten(sigmas) {
+            self.views.remove(at);
+            return 1.0;
+        }
+        f64::from(self.views[at].answers.saturating_add(1)).powi(-2)
     }
 
     /// Notes an answer that was used.
-    pub(crate) fn note(&mut self, view: &View) {
-        self.views.retain(|(known, _)| known.is_repeated_by(view));
-        if let Some((_, answers)) = self.views.iter_mut().find(|(known, _)| known.is_alike(view)) {
-            *answers = answers.saturating_add(1);
-        } else {
-            if self.views.len() == MOST {
-                self.views.remove(0);
-            }
-            self.views.push((*view, 1));
+    ///
+    /// # Arguments
+    /// * `sigmas`: standard deviations of the pose in G after it.
+    pub(crate) fn note(&mut self, view: &View, sigmas: (f64, f64)) {
+        let known = self.views.iter().position(|known| known.first.is_alike(view));
+        let mut answered = match known {
+            Some(at) => self.views.remove(at),
+            None => AnsweredView { first: *view, answers: 0, sigmas },
+        };
+        answered.answers = answered.answers.saturating_add(1);
+        answered.sigmas = (answered.sigmas.0.min(sigmas.0), answered.sigmas.1.min(sigmas.1));
+        if self.views.len() == MOST {
+            self.views.remove(0);
         }
+        self.views.push(answered);
+    }
+
+    /// What the answers told holds no longer.
+    pub(crate) fn clear(&mut self) {
+        self.views.clear();
     }
 }
 
@@ -78,32 +111,62 @@ mod tests {
     use super::*;
     use nalgebra::Vector3;
 
+    const SIGMAS: (f64, f64) = (0.01, 0.05);
+
     fn view(camera: usize, keyframe: u64, x: f64) -> View {
         let local_from_imu = Pose { translation: Vector3::x() * x, ..Pose::identity() };
         View { camera, keyframe, local_from_imu, depth_m: 3.0 }
     }
 
+    fn answered(views: &mut RepeatedViews, view: &View) -> f64 {
+        let weight = views.weight(view, SIGMAS);
+        views.note(view, SIGMAS);
+        weight
+    }
+
     #[test]
     fn answers_from_one_place_count_for_less_than_two() {
-        let (mut views, mut all) = (RepeatedViews::default(), 0.0);
-        for step in 0..1000 {
-            let view = view(0, 7, 1e-3 * f64::from(step % 5));
-            all += views.weight(&view);
-            views.note(&view);
-        }
+        let mut views = RepeatedViews::default();
+        let all: f64 =
+            (0..1000).map(|step| answered(&mut views, &view(0, 7, 1e-3 * f64::from(step % 5)))).sum();
         assert!((1.6..1.65).contains(&all), "{all}");
     }
 
     #[test]
     fn other_keyframes_cameras_and_places_count_by_themselves() {
         let mut views = RepeatedViews::default();
-        views.note(&view(0, 7, 0.0));
-        assert!((views.weight(&view(0, 7, 0.01)) - 0.25).abs() < 1e-12);
-        for other in [view(1, 7, 0.0), view(0, 8, 0.0), view(0, 7, 0.1)] {
-            assert!(views.weight(&other) >= 1.0);
+        answered(&mut views, &view(0, 7, 0.0));
+        for other in [view(1, 7, 0.0), view(0, 8, 0.0)] {
+            assert!(answered(&mut views, &other) >= 1.0);
         }
+        assert!((views.weight(&view(0, 7, 0.01), SIGMAS) - 0.25).abs() < 1e-12);
+        assert!(answered(&mut views, &view(0, 7, 0.1)) >= 1.0);
         // It is not where it was, also when it comes back: the next images differ from the first ones.
-        views.note(&view(0, 7, 1.0));
-        assert!(views.weight(&view(0, 7, 0.0)) >= 1.0);
+        assert!(answered(&mut views, &view(0, 7, 0.0)) >= 1.0);
+    }
+
+    #[test]
+    fn keyframes_that_take_turns_are_remembered() {
+        let mut views = RepeatedViews::default();
+        let turns = (0..400).map(|step| answered(&mut views, &view(step % 4, (step % 5) as u64, 0.0)));
+        assert!(turns.sum::<f64>() < 20.0 * 1.65);
+    }
+
+    /// A random walk of the state between answers of 5 cm, for an hour: it stays within what two answers leave and what is forgotten.
+    #[test]
+    fn a_robot_that_stands_for_an_hour_is_corrected_all_the_time() {
+        let (of_answer, walk) = (0.05_f64, 0.004_f64);
+        let mut views = RepeatedViews::default();
+        let mut variance = of_answer.powi(2);
+        let place = view(0, 7, 0.0);
+        views.note(&place, (0.01, variance.sqrt()));
+        for _ in 0..7200 {
+            variance += walk.powi(2);
+            let weight = views.weight(&place, (0.01, variance.sqrt()));
+            variance = (variance.recip() + weight / of_answer.powi(2)).recip();
+            views.note(&place, (0.01, variance.sqrt()));
+            let sigma = variance.sqrt();
+            assert!((0.55 * of_answer..FORGOTTEN * of_answer).contains(&sigma), "{sigma}");
+        }
     }
 }

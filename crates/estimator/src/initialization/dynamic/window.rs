@@ -17,6 +17,9 @@ const MIN_IMAGES: usize = 4;
 /// Maximum time by which the IMU samples may begin or end within the window, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;
 
+/// Longest time between two samples in the window, nanoseconds.
+const MAX_GAP_NS: i64 = 100_000_000;
+
 /// One image with its tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WindowImage {
@@ -69,6 +72,10 @@ impl Window {
     ) -> Result<Self, DynamicInitError> {
         if images.len() < MIN_IMAGES {
             return Err(DynamicInitError::TooFewImages { have: images.len(), need: MIN_IMAGES });
+        }
+        // Images cut a gap, and nobody would know how the body moved in it.
+        if imu.longest_gap_ns(images[0].stamp_ns, images[images.len() - 1].stamp_ns) > MAX_GAP_NS {
+            return Err(DynamicInitError::NoImu);
         }
         let mut readings = Vec::with_capacity(images.len() - 1);
         for pair in images.windows(2) {
