@@ -268,9 +268,9 @@ impl Estimator {
             let before = (self.covariance.clone(), self.repeated_views.clone());
             self.add_transform_noise(missing);
             outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
-            match outcome {
-                Ok(()) => report.inflated = true,
-                Err(_) => (self.covariance, self.repeated_views) = before,
+            report.inflated = outcome.is_ok();
+            if !report.inflated {
+                (self.covariance, self.repeated_views) = before;
             }
         }
         if outcome.is_err() && report.initialized {
