@@ -38,7 +38,7 @@ struct Disk {
 }
 
 impl Disk {
-    const WRITING: Duration = Duration::from_millis(300);
+    const WRITING: Duration = Duration::from_secs(1);
 }
 
 /// A database on that disk.
