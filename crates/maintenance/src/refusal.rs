@@ -39,7 +39,8 @@ pub enum Refusal {
     /// Its pixels do not fit its own trajectory.
     #[error(
         "it contradicts itself: its pixels fit its trajectory to {sigma_px:.1} px, those of the map's first session to {map_px:.1} px, and \
-         at most {limit:.1} px, and less than 5, are allowed. Is the calibration the robot's? (`driftless check-calibration`)"
+         at most {limit:.1} px, and less than {most:.0}, are allowed. Is the calibration the robot's? (`driftless check-calibration`)",
+        most = mapping::MAX_SIGMA_PX
     )]
     Pixels {
         /// Pixel noise of the session (px).

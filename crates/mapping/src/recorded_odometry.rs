@@ -123,8 +123,7 @@ pub fn run_configured(
     for (index, frame) in sequence.frames.iter_mut().enumerate() {
         progress(index, frames);
         // Up to the first one that is not before the frame's last row, by the clock of the IMU.
-        let until_ns =
-            supervisor.estimator().map_or(frame.stamp_ns, |running| running.last_row_ns(frame.stamp_ns));
+        let until_ns = supervisor.last_row_ns(frame.stamp_ns);
         while let Some(&reading) = readings.get(next_reading) {
             next_reading += 1;
             match supervisor.imu(reading) {

@@ -40,7 +40,7 @@ impl ReleaseCache {
         Release::decode_any(&text).ok()
     }
 
-    /// Notes which release is served from now on; the segments of others stay.
+    /// Notes which release is served from now on; the segments of others stay until [`Self::remove_others`].
     ///
     /// # Errors
     /// [`ReleaseError::Cache`].
@@ -51,12 +51,11 @@ impl ReleaseCache {
         write(&path, &text)
     }
 
-    /// Notes which release is served now, and removes the segments that it does not need.
+    /// Removes the segments that a release does not need.
     ///
     /// # Errors
     /// [`ReleaseError::Cache`].
-    pub fn keep_release(&self, release: &Release) -> Result<(), ReleaseError> {
-        self.note_release(release)?;
+    pub fn remove_others(&self, release: &Release) -> Result<(), ReleaseError> {
         let needed: BTreeSet<&str> = release.segments().map(|segment| segment.sha256.as_str()).collect();
         let segments = self.folder.join(SEGMENTS);
         let failed = |source| ReleaseError::Cache { path: segments.clone(), source };

@@ -20,7 +20,6 @@
 //! | [`coarse`] | what tells from afar of which cells an image could be |
 //! | [`change`] | what changed from one release to the next |
 //! | [`release`] | what a release is |
-//! | `signing_key` (feature `signing`) | keys that sign releases, with their public halves |
 //! | [`stage`] | what is live and what is proposed; who did it and why |
 //! | [`candidates`] | promoting and rejecting what is proposed |
 //! | [`place`] | which release of which store, in one word |
@@ -72,8 +71,6 @@ pub mod partition;
 pub mod place;
 pub mod publish;
 pub mod release;
-#[cfg(feature = "signing")]
-mod signing_key;
 pub mod source;
 pub mod stage;
 pub mod store;
@@ -92,10 +89,8 @@ pub use place::{ReleaseChoice, ReleaseChoiceError, ReleasePlace};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
 pub use release::{Release, ReleaseDifference, ReleasedCell, ServedCell};
 #[cfg(feature = "signing")]
-pub use signing::KeyError;
+pub use signing::{KeyError, SecretKey as SigningKey};
 pub use signing::{PublicKey as ReleaseKey, PublicKeyError as ReleaseKeyError, SignatureError};
-#[cfg(feature = "signing")]
-pub use signing_key::SigningKey;
 pub use source::ReleaseSource;
 pub use stage::{CandidateState, Decision, Note, Stage, Verdict};
 pub use store::ReleaseStore;

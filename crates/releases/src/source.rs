@@ -64,20 +64,32 @@ impl ReleaseSource {
         Ok(release)
     }
 
-    /// Notes which release is served now, and removes what others need. A cache that cannot be written is logged and not used.
+    /// Notes which release is served from now on, while the former one may still need what it has. A cache that cannot be written is logged
+    /// and not used.
+    ///
+    /// # Returns
+    /// Whether it is noted.
+    pub fn note(&self, release: &Release) -> bool {
+        let noted = self.cache.note_release(release);
+        if let Err(error) = &noted {
+            let reason = with_causes(error);
+            tracing::warn!(reason, "the release is not kept: a restart needs the store");
+        }
+        noted.is_ok()
+    }
+
+    /// Removes what other releases than the one that is served need. What cannot be removed is logged.
+    pub fn clean(&self, release: &Release) {
+        if let Err(error) = self.cache.remove_others(release) {
+            let reason = with_causes(&error);
+            tracing::warn!(reason, "what former releases need stays in the cache");
+        }
+    }
+
+    /// [`Self::note`] and [`Self::clean`]: of a map that needs nothing of its former release any more.
     pub fn keep(&self, release: &Release) {
-        warn_of(self.cache.keep_release(release));
-    }
-
-    /// Notes which release is served from now on, while the former one may still need what it has.
-    pub fn note(&self, release: &Release) {
-        warn_of(self.cache.note_release(release));
-    }
-}
-
-fn warn_of(kept: Result<(), ReleaseError>) {
-    if let Err(error) = kept {
-        let reason = with_causes(&error);
-        tracing::warn!(reason, "the release is not kept: a restart needs the store");
+        if self.note(release) {
+            self.clean(release);
+        }
     }
 }

@@ -4,8 +4,6 @@ use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::error::ReleaseError;
 use crate::release::Release;
-#[cfg(feature = "signing")]
-use crate::signing_key::SigningKey;
 use crate::stage::Decision;
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
@@ -15,6 +13,8 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
 use serde::Serialize;
+#[cfg(feature = "signing")]
+use signing::SecretKey as SigningKey;
 use signing::{PublicKey as ReleaseKey, SignatureError};
 use std::sync::Arc;
 use url::Url;

@@ -323,7 +323,8 @@ async fn a_cache_serves_without_the_store_and_heals() {
     let cache = ReleaseCache::open(&folder).unwrap();
     assert!(cache.release().is_none());
     fetch(&scratch.store, &first, Some(&cache)).await.unwrap();
-    cache.keep_release(&first).unwrap();
+    cache.note_release(&first).unwrap();
+    cache.remove_others(&first).unwrap();
 
     let away = |is_away: bool| {
         let (here, there) = (scratch.folder.path().join("city"), scratch.folder.path().join("away"));
@@ -343,7 +344,8 @@ async fn a_cache_serves_without_the_store_and_heals() {
     // The next release leaves nothing of the former one behind.
     let second = published(&scratch.store, &without_the_last(&contents)).await.release;
     fetch(&scratch.store, &second, Some(&cache)).await.unwrap();
-    cache.keep_release(&second).unwrap();
+    cache.note_release(&second).unwrap();
+    cache.remove_others(&second).unwrap();
     assert_eq!(std::fs::read_dir(folder.join("segments")).unwrap().count(), second.cells.len());
     std::fs::write(folder.join("release.json"), "{}").unwrap();
     assert!(cache.release().is_none());

@@ -1,5 +1,6 @@
 //! Secret keys.
 
+use crate::{PublicKey, PublicKeyError};
 use std::path::{Path, PathBuf};
 
 /// A secret key cannot be used.
@@ -17,8 +18,11 @@ pub struct KeyError {
 #[error("{0}")]
 pub struct SignError(Box<dyn std::error::Error + Send + Sync>);
 
-/// A secret key.
-pub struct SecretKey(minisign::SecretKey);
+/// A secret key, with its public half.
+pub struct SecretKey {
+    secret: minisign::SecretKey,
+    public: PublicKey,
+}
 
 impl std::fmt::Debug for SecretKey {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -38,11 +42,19 @@ impl SecretKey {
         let failed = |reason| KeyError { file: file.to_owned(), reason };
         let text = files::read_to_string(file).map_err(|error| failed(error.into()))?;
         let sealed = || minisign::SecretKeyBox::from_string(&text).map_err(|error| failed(error.into()));
-        let key = match password {
+        let secret = match password {
             Some(password) => sealed()?.into_secret_key(Some(password)),
             None => sealed()?.into_unencrypted_secret_key(),
         };
-        key.map(Self).map_err(|error| failed(error.into()))
+        let secret = secret.map_err(|error| failed(error.into()))?;
+        let public = minisign::PublicKey::from_secret_key(&secret).map_err(|error| failed(error.into()))?;
+        let public = public.to_base64().parse().map_err(|error: PublicKeyError| failed(error.into()))?;
+        Ok(Self { secret, public })
+    }
+
+    /// The key that verifies what this one signs.
+    pub fn public(&self) -> &PublicKey {
+        &self.public
     }
 
     /// Writes a new key to `file`, readable by its owner only, and the public one beside it, with `.pub`.
@@ -88,7 +100,26 @@ impl SecretKey {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn sign(&self, bytes: &[u8]) -> Result<Vec<u8>, SignError> {
-        let signature = minisign::sign(None, &self.0, bytes, None, None);
+        let signature = minisign::sign(None, &self.secret, bytes, None, None);
         signature.map(|signature| signature.to_bytes()).map_err(|error| SignError(error.into()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_public_half_is_that_of_the_file_beside_the_key() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("city.key");
+        let beside: PublicKey = SecretKey::generate(&file).unwrap().to_str().unwrap().parse().unwrap();
+        let key = SecretKey::read(&file, None).unwrap();
+        let signature = key.sign(b"a release").unwrap();
+        for public in [key.public(), &beside] {
+            public.verify(b"a release", &signature).unwrap();
+            assert!(public.verify(b"another", &signature).is_err());
+        }
+        assert!(SecretKey::read(&folder.path().join("none.key"), None).is_err());
     }
 }

@@ -211,8 +211,9 @@ struct Running {
 
 impl Running {
     async fn run(mut self) {
-        self.note(&self.release).await;
-        self.source.keep(&self.release);
+        if self.note(&self.release).await {
+            self.source.clean(&self.release);
+        }
         let mut watch = tokio::time::interval(self.options.watch);
         watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
         watch.reset();
@@ -230,14 +231,18 @@ impl Running {
     }
 
     /// Notes which release is served from now on.
-    async fn note(&self, release: &Release) {
-        self.source.note(release);
+    ///
+    /// # Returns
+    /// Whether the cache has it.
+    async fn note(&self, release: &Release) -> bool {
+        let is_noted = self.source.note(release);
         let served = MapVersion {
             identity: release.identity(),
             version: release.map.version,
             digest: Some(release.digest),
         };
         note_served(self.state.as_ref(), &self.name, served).await;
+        is_noted
     }
 
     /// Waits until no server has come or gone for a while.
@@ -361,7 +366,7 @@ impl Running {
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;
         let change = change.unwrap_or_default();
-        self.note(&release).await;
+        let is_noted = self.note(&release).await;
         let new_cells = self.map.change_over(directory, cells, token);
         tracing::info!(
             name = self.name,
@@ -388,7 +393,9 @@ impl Running {
         // The new version answers already: what waits for the network comes after the notice.
         let published = change::publish(&self.session, notice).await;
         let added = self.map.add(new_cells).await;
-        self.source.keep(&self.release);
+        if is_noted {
+            self.source.clean(&self.release);
+        }
         if let Err(error) = published.and(added) {
             let reason = format!("{:#}", anyhow::Error::from(error));
             tracing::warn!(

@@ -89,8 +89,8 @@ impl WheelArguments {
                         && self.base_in_imu.is_empty());
                 ensure!(
                     !is_asked_for,
-                    "--wheel-radius, --wheel-base, --wheel-counts, --base-in-imu: there are no readings of wheels; a folder has them in mav0/wheels0/data.csv, a bag or ROS 2 in \
-                     the topic that --wheel-topic names"
+                    "--wheel-radius, --wheel-base, --wheel-counts, --base-in-imu: there are no readings of wheels; a folder has \
+                     them in mav0/wheels0/data.csv, a bag or ROS 2 in the topic that --wheel-topic names"
                 );
                 return Ok(None);
             }
