@@ -74,8 +74,8 @@ impl FocalError {
     }
 }
 
-/// Fuses the verified keyframes of one place; `None` where that fails; then the pose of the best
-/// keyframe is used.
+/// Fuses the verified keyframes of one place. Few inliers may be left where the matches fit no pose well: their number tells.
+/// `None` where it fails numerically; then the pose of the best keyframe is used.
 ///
 /// # Arguments
 /// * `place`: not empty, most inliers first.
@@ -110,9 +110,6 @@ pub(crate) fn fuse(
         if step.rows(0, 6).norm() < CONVERGED {
             break;
         }
-    }
-    if normal.inliers < options.min_inliers {
-        return None;
     }
     let focal_error = normal.focal_error();
     let covariance: Matrix6<f64> =

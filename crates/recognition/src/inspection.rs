@@ -1,20 +1,20 @@
 //! Every intermediate result of a query, for diagnosing why an image was recognized or not.
 //!
-//! Candidates, comparison and consensus are those of the answers themselves; here nothing is discarded, and candidates that an
-//! answer needs no more are compared too.
+//! Candidates and comparison are those of the answers themselves, and the search tells which keyframes are part of the answer; here
+//! nothing is discarded, and candidates that an answer needs no more are compared too.
 
 use std::collections::HashSet;
 
-use geometry::{Camera, PoseWithCovariance};
+use geometry::{Camera, Pose, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId, LocalizeReply, LocalizeRequest};
 use vision::{Match, Matcher};
 
-use super::consensus::{Consensus, find_consensus, group_places};
 use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::query::QueryError;
+use super::report::SearchReport;
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare};
 
 /// The answer to a query, and the comparison with each candidate.
@@ -128,27 +128,35 @@ impl LoadedMap {
         request: &LocalizeRequest,
         options: &RecognitionOptions,
     ) -> Result<Inspection, QueryError> {
-        let reply = self.localize(request, options)?;
-        self.for_features(&request.features).inspect_of_kind(request, reply, options)
+        let (reply, report) = self.localize_with_report(request, options)?;
+        self.for_features(&request.features).inspect_of_kind(request, reply, &report, options)
     }
 
     /// The comparison with this kind of features.
+    ///
+    /// # Arguments
+    /// * `report`: of the search for the reply.
     fn inspect_of_kind(
         &self,
         request: &LocalizeRequest,
         reply: LocalizeReply,
+        report: &SearchReport,
         options: &RecognitionOptions,
     ) -> Result<Inspection, QueryError> {
         if self.poses.keyframes.is_empty() || request.features.len() < options.min_inliers {
             return Ok(Inspection { reply, keyframes: Vec::new() });
         }
-        let mut compared = Vec::new();
-        if let Some(prior) = &request.prior {
-            let near = self.near(&prior.global_from_camera);
-            compared = self.inspector(request, options, Some(&near))?.candidates(|at| near[at])?;
-        }
-        if !compared.iter().any(|keyframe| keyframe.in_answer) {
-            compared = self.inspector(request, options, None)?.candidates(|_| true)?;
+        let agreeing = || report.candidates.iter().filter(|candidate| candidate.in_answer);
+        let mut compared = match &request.prior {
+            Some(prior) if agreeing().any(|candidate| candidate.near_prior) => {
+                let near = self.near(&prior.global_from_camera);
+                self.inspector(request, options, Some(&near))?.candidates(|at| near[at])?
+            }
+            _ => self.inspector(request, options, None)?.candidates(|_| true)?,
+        };
+        let in_answer: HashSet<KeyframeId> = agreeing().map(|candidate| candidate.keyframe).collect();
+        for keyframe in &mut compared {
+            keyframe.in_answer = in_answer.contains(&keyframe.id);
         }
         let best = reply.fix.as_ref().map(|fix| fix.keyframe);
         let rank = |keyframe: &InspectedKeyframe| {
@@ -160,7 +168,7 @@ impl LoadedMap {
         Ok(Inspection { reply, keyframes: compared })
     }
 
-    /// Compares a query with one keyframe, whether it is a candidate or not.
+    /// Compares a query with one keyframe, whether it is a candidate or not, as a search of the whole map does.
     ///
     /// # Returns
     /// `None` where the map has no keyframe of that id. It is never marked as part of an answer.
@@ -174,8 +182,9 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Option<InspectedKeyframe>, QueryError> {
         let Some(at) = self.index_of(id) else { return Ok(None) };
-        let map = self.for_features(&request.features);
-        Ok(Some(map.inspector(request, options, None)?.keyframe(at)?.0))
+        let inspector = self.for_features(&request.features).inspector(request, options, None)?;
+        let expected = inspector.expected_at(at)?;
+        Ok(Some(inspector.keyframe(at, expected.as_ref())?.0))
     }
 
     fn inspector<'a>(
@@ -205,35 +214,47 @@ struct Inspector<'a> {
 }
 
 impl Inspector<'_> {
-    /// Compares the candidates among some keyframes and marks those that agree on a place, most votes first.
+    /// The keyframes that a search compares, most votes first.
+    fn best_voted(&self, eligible: impl Fn(usize) -> bool) -> Vec<usize> {
+        best_voted(&self.votes, self.options.candidates, self.options.min_votes, eligible)
+    }
+
+    /// Compares the candidates among some keyframes, most votes first; none is marked as part of an answer.
     fn candidates(&self, eligible: impl Fn(usize) -> bool) -> Result<Vec<InspectedKeyframe>, QueryError> {
-        let candidates = best_voted(&self.votes, self.options.candidates, self.options.min_votes, eligible);
-        let (mut inspected, mut verified) = (Vec::new(), Vec::new());
-        for at in candidates {
-            let (keyframe, comparison) = self.keyframe(at)?;
+        let mut inspected = Vec::new();
+        let mut expected: Option<Pose> = None;
+        for at in self.best_voted(eligible) {
+            let (keyframe, comparison) = self.keyframe(at, expected.as_ref())?;
             inspected.push(keyframe);
-            if let Comparison::Verified(keyframe) = comparison {
-                verified.push(*keyframe);
-            }
-        }
-        let places = group_places(&mut verified, self.options);
-        let hypotheses = self.map.hypotheses(&self.image, &verified, &places, 0.0);
-        if let Consensus::Place(place) = find_consensus(verified, &places, &hypotheses, self.options) {
-            let id = |verified: &VerifiedKeyframe| self.map.poses.keyframes[verified.keyframe].id;
-            let place: HashSet<KeyframeId> = place.iter().map(id).collect();
-            for keyframe in &mut inspected {
-                keyframe.in_answer = place.contains(&keyframe.id);
+            if let Comparison::Verified(found) = comparison {
+                expected = expected.or(Some(found.global_from_camera.pose));
             }
         }
         Ok(inspected)
     }
 
-    fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
+    /// The pose that a search expects when it comes to a keyframe: that of the first candidate that it verified before.
+    fn expected_at(&self, keyframe: usize) -> Result<Option<Pose>, QueryError> {
+        for at in self.best_voted(|_| true).into_iter().take_while(|&at| at != keyframe) {
+            if let Comparison::Verified(found) = self.keyframe(at, None)?.1 {
+                return Ok(Some(found.global_from_camera.pose));
+            }
+        }
+        Ok(None)
+    }
+
+    /// # Arguments
+    /// * `expected`: the camera in G, see [`compare`].
+    fn keyframe(
+        &self,
+        at: usize,
+        expected: Option<&Pose>,
+    ) -> Result<(InspectedKeyframe, Comparison), QueryError> {
         let keyframe = &self.map.poses.keyframes[at];
         let match_options = self.map.match_options();
         let mut matcher = Matcher::new(self.image.descriptors);
         let matches = matcher.matches(self.map.descriptors_of(at)?, &match_options)?;
-        let comparison = compare(self.map, at, &self.image, &mut matcher, None, self.options)?;
+        let comparison = compare(self.map, at, &self.image, &mut matcher, expected, self.options)?;
         let (verdict, found) = match &comparison {
             Comparison::TooFewMatches { .. } => (KeyframeVerdict::TooFewMatches, None),
             Comparison::NoPose { .. } => (KeyframeVerdict::NoPose, None),
@@ -273,6 +294,42 @@ impl Inspector<'_> {
             distance: one.distance,
             inlier: found.is_some_and(|found| found.inliers.contains(one)),
             predicted_pixel: predicted.map(|pixel: Vector2<f64>| pixel.into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use protocol::MatchOutcome;
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use testing::{Place, PlaceOptions};
+
+    use super::*;
+
+    #[test]
+    fn what_the_search_refuses_is_no_part_of_an_answer() {
+        let place = Place::new(&PlaceOptions::default());
+        let map = LoadedMap::from_contents(place.map.clone()).unwrap();
+        let request = place.request(&place.camera_at(12.0, 0.3, 0.05), 3, &mut StdRng::seed_from_u64(12));
+        let request = LocalizeRequest {
+            camera: request.camera,
+            features: request.features,
+            prior: None,
+            gravity_in_camera: None,
+        };
+        // No answer has odds of 1e3.
+        for (min_log_odds, is_refused) in [(-1e3, false), (1e3, true)] {
+            let options = RecognitionOptions { min_log_odds, ..RecognitionOptions::default() };
+            let inspection = map.inspect(&request, &options).unwrap();
+            assert!(!is_refused || inspection.reply.outcome == MatchOutcome::Ambiguous);
+            let verified = |keyframe: &&InspectedKeyframe| keyframe.verdict == KeyframeVerdict::Verified;
+            assert!(inspection.keyframes.iter().filter(verified).count() > 1);
+            assert_eq!(inspection.keyframes.iter().any(|keyframe| keyframe.in_answer), !is_refused);
+            for keyframe in &inspection.keyframes {
+                let alone = map.inspect_keyframe(&request, keyframe.id, &options).unwrap().unwrap();
+                assert_eq!(alone, InspectedKeyframe { in_answer: false, ..keyframe.clone() });
+            }
         }
     }
 }

@@ -42,7 +42,7 @@ pub struct RecognitionOptions {
     pub seed: u64,
     /// Largest standard deviation of the rotation (rad) of a verified pose.
     pub max_sigma_theta: f64,
-    /// Largest standard deviation of the position of a verified pose, as a part of the inliers' mean distance.
+    /// Largest standard deviation of the position of a verified pose, as a part of the inliers' median distance.
     pub max_relative_sigma_p: f64,
     /// Rotation error (rad, one standard deviation) that two verified poses may have beyond their covariances.
     pub tolerance_theta: f64,

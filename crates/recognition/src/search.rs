@@ -5,9 +5,9 @@ use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchOutcome, PosePrior, PossiblePlace};
 use vision::{DescriptorError, DescriptorView, Matcher};
 
-use super::consensus::{Consensus, find_consensus, group_places, is_consistent, support};
+use super::consensus::{Consensus, agree, find_consensus, group_places, is_consistent, support};
 use super::elements::Viewpoint;
-use super::evidence::coverage;
+use super::evidence::{OTHER_PLACE, coverage};
 use super::index::{LandmarkSet, Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -77,11 +77,20 @@ struct Sufficient<'a> {
 }
 
 impl Sufficient<'_> {
-    /// Whether enough keyframes are verified, and all of them agree with the prior, or without one with the first.
-    fn is_reached(&self, verified: &[VerifiedKeyframe], options: &RecognitionOptions) -> bool {
+    /// Whether enough keyframes are verified, and all of them agree with the prior, or without one with the first. A prior that leaves
+    /// room for another place that looks alike makes nothing needless.
+    fn is_reached(
+        &self,
+        map: &LoadedMap,
+        verified: &[VerifiedKeyframe],
+        options: &RecognitionOptions,
+    ) -> bool {
         let Some(first) = verified.first().filter(|_| verified.len() >= self.enough) else { return false };
-        let reference = self.prior.unwrap_or(&first.global_from_camera);
-        verified.iter().all(|keyframe| is_consistent(&keyframe.global_from_camera, reference, options))
+        let Some(prior) = self.prior else {
+            return verified.iter().all(|keyframe| agree(map, first, keyframe, options));
+        };
+        prior_radius(prior) <= OTHER_PLACE * map.viewing_distance()
+            && verified.iter().all(|keyframe| is_consistent(&keyframe.global_from_camera, prior, options))
     }
 }
 
@@ -232,7 +241,7 @@ impl LoadedMap {
         // Whether a keyframe may share a field of view with those that are sufficient.
         let mut of_the_place: Option<Vec<bool>> = None;
         for (&candidate, report) in candidates.iter().zip(report.iter_mut()) {
-            if of_the_place.is_none() && sufficient.is_reached(&verified, options) {
+            if of_the_place.is_none() && sufficient.is_reached(self, &verified, options) {
                 if sufficient.prior.is_some() {
                     break;
                 }
@@ -253,10 +262,10 @@ impl LoadedMap {
             }
         }
         let mut strongest = None;
-        let places = group_places(&mut verified, options);
+        let places = group_places(self, &mut verified, options);
         let log_prior_odds = self.aliasing_rate().log_odds();
         let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
-        let place = match find_consensus(verified, &places, &hypotheses, options) {
+        let place = match find_consensus(self, verified, &places, &hypotheses, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
                 strongest = Some(*place);

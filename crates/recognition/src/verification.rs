@@ -42,6 +42,8 @@ pub(crate) struct VerifiedKeyframe {
     pub(crate) matches: Vec<Match>,
     /// The landmark of each match in the keyframe's camera frame (m).
     pub(crate) points: Vec<Vector3<f64>>,
+    /// The camera in the keyframe's frame, with the uncertainty of the pixels.
+    pub(crate) keyframe_from_camera: PoseWithCovariance,
     /// The camera in G, with the uncertainty of the keyframe and of the pixels.
     pub(crate) global_from_camera: PoseWithCovariance,
     /// Mean reprojection error of the inliers (px).
@@ -127,6 +129,7 @@ pub(crate) fn compare(
         matches,
         points: correspondences.iter().map(|correspondence| correspondence.point).collect(),
         global_from_camera: global_from_keyframe.compose(&keyframe_from_camera),
+        keyframe_from_camera,
         mean_error_px: solution.mean_error_px,
     })))
 }
@@ -198,14 +201,17 @@ fn is_well_constrained<'a>(
     options: &RecognitionOptions,
 ) -> bool {
     let sigmas = keyframe_from_camera.covariance.diagonal().map(f64::sqrt);
-    let (mut sum, mut count) = (0.0, 0.0);
-    for point in points {
-        sum += (point - keyframe_from_camera.pose.translation).norm();
-        count += 1.0;
+    let distance = |point: &Vector3<f64>| (point - keyframe_from_camera.pose.translation).norm();
+    // The mean would follow a few landmarks that are far away.
+    let mut distances: Vec<f64> = points.map(distance).collect();
+    if distances.is_empty() {
+        return false;
     }
+    let middle = distances.len() / 2;
+    let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
     // A NaN fails both comparisons.
     sigmas.fixed_rows::<3>(0).norm() <= options.max_sigma_theta
-        && sigmas.fixed_rows::<3>(3).norm() <= options.max_relative_sigma_p * sum / count
+        && sigmas.fixed_rows::<3>(3).norm() <= options.max_relative_sigma_p * median
 }
 
 /// The number of distinct query features among the inliers of several keyframes.

@@ -6,17 +6,17 @@
 
 use std::sync::OnceLock;
 
-use geometry::PoseWithCovariance;
+use geometry::{Pose, PoseWithCovariance};
 use map::{Alias, KeyframeAliases};
 use protocol::{Descriptors, FeatureSet, KeyframeId};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::consensus::{group_places, is_consistent};
+use crate::consensus::{agree_by, group_places};
 use crate::loaded_map::LoadedMap;
 use crate::options::RecognitionOptions;
 use crate::query::QueryError;
 use crate::report::Hypothesis;
-use crate::verification::Image;
+use crate::verification::{Image, VerifiedKeyframe};
 
 /// Keyframes that are compared with the rest of the map, at most, evenly among all.
 const SAMPLED_KEYFRAMES: usize = 24;
@@ -24,10 +24,10 @@ const SAMPLED_KEYFRAMES: usize = 24;
 const COMPARED_KEYFRAMES: usize = 4;
 /// A pose this far from that of the keyframe is another place, as a part of the map's viewing distance, or as an angle (rad).
 /// Nearer ones are the keyframe itself, by landmarks that the map has twice.
-const OTHER_PLACE: f64 = 0.1;
+pub(crate) const OTHER_PLACE: f64 = 0.1;
 /// Shape of the prior of the rate, a beta distribution with two equal ones (Jeffreys).
 const PRIOR_SHAPE: f64 = 0.5;
-/// Part of a map's keyframes that may be others than those of the version whose rate is kept.
+/// Part of a map's keyframes that may be others than those of the version whose rate was measured.
 const RENEWED_KEYFRAMES: f64 = 0.1;
 /// Chance that what an image shows of a place has been carried elsewhere since the map was built, or is a copy of it that stands
 /// where the map has not been: a map cannot tell.
@@ -41,6 +41,9 @@ pub struct AliasingRate {
     pub views: f64,
     /// Those that another place explains as well.
     pub aliased: f64,
+    /// Part of the map's keyframes that are others than those of the version that was measured, at most.
+    #[serde(default)]
+    renewed: f64,
 }
 
 impl AliasingRate {
@@ -71,18 +74,23 @@ impl LoadedMap {
         }
     }
 
-    /// Takes the rate of a former version of the map where this one does not state its own and has the same keyframes but for a
-    /// few. Without effect once the rate is known.
+    /// Takes the rate of a former version of the map where this one does not state its own and has the same keyframes, but for a
+    /// few, as the version that the rate was measured of. Without effect once the rate is known.
     pub fn keep_aliasing_rate(&self, former: &LoadedMap) {
+        if self.identity != former.identity {
+            return;
+        }
+        // Of the larger version. It is a metric: from version to version it adds up to no less than what it is between the ends.
+        let most = self.poses.keyframes.len().max(former.poses.keyframes.len());
         let kept =
             self.poses.keyframes.iter().filter(|keyframe| former.index_of(keyframe.id).is_some()).count();
-        let is_nearly_the_same = |of: &LoadedMap| {
-            (of.poses.keyframes.len() - kept) as f64 <= RENEWED_KEYFRAMES * of.poses.keyframes.len() as f64
-        };
-        if self.identity == former.identity && is_nearly_the_same(self) && is_nearly_the_same(former) {
-            for map in self.kinds() {
-                let same_kind = former.kinds().find(|of| of.info.feature_kind() == map.info.feature_kind());
-                let _ = same_kind.and_then(|of| of.aliasing.get()).map(|rate| map.aliasing.set(*rate));
+        let renewed = (most - kept) as f64 / most.max(1) as f64;
+        for map in self.kinds() {
+            let same_kind = former.kinds().find(|of| of.info.feature_kind() == map.info.feature_kind());
+            let Some(rate) = same_kind.and_then(|of| of.aliasing.get()) else { continue };
+            let rate = AliasingRate { renewed: rate.renewed + renewed, ..*rate };
+            if rate.renewed <= RENEWED_KEYFRAMES {
+                let _ = map.aliasing.set(rate);
             }
         }
     }
@@ -99,7 +107,7 @@ impl LoadedMap {
             let is_aliased = |aliases: &&KeyframeAliases| likely_alias(aliases).is_some();
             let aliased = stated.iter().filter(is_aliased).count() as f64 / compared as f64;
             let views = self.disjoint_views();
-            self.aliasing = OnceLock::from(AliasingRate { views, aliased: aliased * views });
+            self.aliasing = OnceLock::from(AliasingRate { views, aliased: aliased * views, renewed: 0.0 });
         }
         self.aliases = stated;
     }
@@ -132,7 +140,7 @@ impl LoadedMap {
         };
         let aliased = (0..count).filter(|&sample| is_aliased(sample)).count() as f64;
         let views = self.disjoint_views().min(count as f64);
-        AliasingRate { views, aliased: aliased / count as f64 * views }
+        AliasingRate { views, aliased: aliased / count as f64 * views, renewed: 0.0 }
     }
 
     /// The places that the image of a keyframe could be taken for, besides its own; their odds are by the image alone. None
@@ -175,9 +183,8 @@ impl LoadedMap {
             }
         }
         let mut verified = self.verified_keyframes(&image, |at| !sees_the_same[at], options)?;
-        verified
-            .retain(|found| self.is_another_place(global_from_camera, &found.global_from_camera, options));
-        let places = group_places(&mut verified, options);
+        verified.retain(|found| self.is_another_place(own, found, options));
+        let places = group_places(self, &mut verified, options);
         let hypotheses = self.hypotheses(&image, &verified, &places, 0.0);
         let alias = |(members, place): (&Vec<usize>, &Hypothesis)| Alias {
             keyframe: self.poses.keyframes[verified[members[0]].keyframe].id,
@@ -186,17 +193,14 @@ impl LoadedMap {
         Ok(places.iter().zip(&hypotheses).map(alias).collect())
     }
 
-    /// Whether a pose is not that of a keyframe.
-    fn is_another_place(
-        &self,
-        own: &PoseWithCovariance,
-        found: &PoseWithCovariance,
-        options: &RecognitionOptions,
-    ) -> bool {
-        let difference = own.pose.inverse().compose(&found.pose);
+    /// Whether what was found for the image of a keyframe is not its own pose.
+    fn is_another_place(&self, own: usize, found: &VerifiedKeyframe, options: &RecognitionOptions) -> bool {
+        let own_pose = &self.poses.keyframes[own].global_from_keyframe.pose;
+        let difference = own_pose.inverse().compose(&found.global_from_camera.pose);
         let is_far = difference.translation.norm() > OTHER_PLACE * self.viewing_distance()
             || difference.rotation.angle() > OTHER_PLACE;
-        is_far && !is_consistent(own, found, options)
+        let itself = PoseWithCovariance::exact(Pose::identity());
+        is_far && !agree_by(self, &(own, itself), &(found.keyframe, found.keyframe_from_camera), options)
     }
 }
 
@@ -229,11 +233,35 @@ pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
+    use map::edit::remove_keyframes;
+    use testing::{Place, PlaceOptions};
+
     use super::*;
 
     #[test]
+    fn a_rate_is_kept_until_a_tenth_of_the_keyframes_are_others_than_when_it_was_measured() {
+        let options = PlaceOptions { keyframes: 40, landmarks: 100, ..PlaceOptions::default() };
+        let mut contents = Place::new(&options).map;
+        let measured = AliasingRate { views: 8.0, aliased: 3.0, renewed: 0.0 };
+        let mut former = LoadedMap::from_contents(contents.clone()).unwrap();
+        former.aliasing.set(measured).unwrap();
+        for removed in 1..=4 {
+            let last = contents.keyframes.last().unwrap().id;
+            remove_keyframes(&mut contents, &BTreeSet::from([last]));
+            let version = LoadedMap::from_contents(contents.clone()).unwrap();
+            version.keep_aliasing_rate(&former);
+            let kept = version.aliasing.get();
+            assert_eq!(kept.is_some(), removed < 4, "{removed}: {kept:?}");
+            assert!(kept.is_none_or(|rate| (rate.log_odds() - measured.log_odds()).abs() < 1e-12));
+            former = version;
+        }
+    }
+
+    #[test]
     fn the_more_distinctive_views_the_better_the_odds() {
-        let of = |views: f64, aliased: f64| AliasingRate { views, aliased }.log_odds();
+        let of = |views: f64, aliased: f64| AliasingRate { views, aliased, renewed: 0.0 }.log_odds();
         assert!((0.0..2_f64.ln()).contains(&of(0.0, 0.0)));
         assert!((1..32).all(|views| of(f64::from(views), 0.0) > of(f64::from(views - 1), 0.0)));
         assert!((0..32).all(|aliased| of(32.0, f64::from(aliased)) > of(32.0, f64::from(aliased + 1))));

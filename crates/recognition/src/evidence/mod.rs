@@ -11,6 +11,7 @@ mod grid;
 mod likelihood;
 mod picture;
 
+pub(crate) use aliasing::OTHER_PLACE;
 pub use aliasing::{AliasingRate, likely_alias};
 pub(crate) use coverage::coverage;
 pub use coverage::{Coverage, PartCounts};
