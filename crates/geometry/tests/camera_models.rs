@@ -218,6 +218,31 @@ fn beyond_the_first_fold_a_rational_model_has_no_ray_even_where_it_increases_aga
 }
 
 #[test]
+fn beyond_the_first_fold_a_fisheye_has_no_ray_even_where_it_increases_again() {
+    // The derivative of t - 1.3 t^7 + 0.9 t^9 vanishes at 0.79 and at 1 rad.
+    let distortion = Distortion::Equidistant([0.0, 0.0, -1.3, 0.9]);
+    let camera = with_unit_focal_length(distortion);
+    let ray = |angle: f64| Vector2::new(angle.tan(), 0.0);
+    let project = |angle: f64| camera.project(&ray(angle).push(1.0));
+    let radius_of = |angle: f64| distortion.distort(&ray(angle)).x;
+    let step = 1e-3;
+    let fold = (1..1500).map(|k| f64::from(k) * step).find(|&t| radius_of(t + step) <= radius_of(t)).unwrap();
+    assert!((fold - 0.79).abs() < 0.01 && radius_of(1.1) > radius_of(fold), "{fold}: it increases again");
+    for at in 1..100 {
+        let before = f64::from(at) / 100.0 * fold;
+        let back = camera.unproject(&project(before).unwrap()).unwrap();
+        assert!((back - ray(before)).norm() < 1e-9, "{before}: {back}");
+    }
+    for beyond in [fold + 2.0 * step, 0.9, 1.05, 1.1, 1.3, 1.5] {
+        assert_eq!(project(beyond), Err(ProjectionError::OutsideModel), "{beyond}");
+    }
+    for beyond in [1.1, 1.3, 1.5] {
+        let pixel = Vector2::new(radius_of(beyond), 0.0);
+        assert_eq!(camera.unproject(&pixel), Err(ProjectionError::OutsideModel), "{beyond}");
+    }
+}
+
+#[test]
 fn a_double_sphere_ends_where_its_radius_is_largest() {
     for (xi, alpha) in [(-0.9, 0.9), (-0.9, 0.1), (-0.9, 0.7), (-0.95, 0.75), (-0.5, 0.97)] {
         let distortion = Distortion::DoubleSphere { xi, alpha };

@@ -10,6 +10,7 @@ use protocol::{KeyframeId, LandmarkId};
 
 use crate::drive::Drive;
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
+use crate::position_grid::PositionGrid;
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
 use crate::sightings::Sighting;
@@ -171,18 +172,13 @@ pub(crate) fn remove_gone_of_added_kinds(contents: &mut MapContents, gone_m: &[[
     if gone_m.is_empty() || contents.added_features.is_empty() {
         return;
     }
-    let gone: Vec<Vector3<f64>> = gone_m.iter().copied().map(Vector3::from).collect();
-    let nearest = |all: &[Vector3<f64>], position: &Vector3<f64>| {
-        all.iter().map(|of| (of - position).norm()).fold(f64::INFINITY, f64::min)
-    };
-    let left: Vec<Vector3<f64>> = contents
-        .landmarks_in_global()
-        .map(|(_, position)| position)
-        .filter(|position| nearest(&gone, position) < 2.0 * SAME_OBJECT_M)
-        .collect();
+    let reach_m = 2.0 * SAME_OBJECT_M;
+    let gone = PositionGrid::new(gone_m.iter().copied().map(Vector3::from), reach_m);
+    let positions = contents.landmarks_in_global().map(|(_, position)| position);
+    let left = PositionGrid::new(positions.filter(|position| gone.nearest(position) < reach_m), reach_m);
     edit::retain_added_landmarks(contents, |position| {
-        let from_gone = nearest(&gone, position);
-        from_gone > SAME_OBJECT_M || nearest(&left, position) <= from_gone
+        let from_gone = gone.nearest(position);
+        from_gone > SAME_OBJECT_M || left.nearest(position) <= from_gone
     });
 }
 

@@ -18,6 +18,7 @@ mod existence;
 mod gone;
 mod map_index;
 mod places;
+mod position_grid;
 mod rates;
 mod refusal;
 mod report;

@@ -65,17 +65,18 @@ const FREE_IDS: LandmarkId = 1 << 20;
 
 impl MapContents {
     /// Gives the landmarks of each added kind ids beyond those of the kinds before, where they have not. Within a kind their order stays.
+    /// Ids beyond [`MAX_ID`](crate::model::MAX_ID), which the map is then refused for, end at the largest number.
     pub fn renumber_added(&mut self) {
         let mut last = self.landmarks.iter().map(|landmark| landmark.id).max();
         for added in &mut self.added_features {
             let ids = || added.landmarks.iter().map(|landmark| landmark.id);
             let (Some(first), Some(end)) = (ids().min(), ids().max()) else { continue };
             let shift = match last {
-                Some(before) if first <= before => before - first + 1 + FREE_IDS,
+                Some(before) if first <= before => (before - first).saturating_add(1 + FREE_IDS),
                 _ => 0,
             };
-            added.landmarks.iter_mut().for_each(|landmark| landmark.id += shift);
-            last = Some(end + shift);
+            added.landmarks.iter_mut().for_each(|landmark| landmark.id = landmark.id.saturating_add(shift));
+            last = Some(end.saturating_add(shift));
         }
     }
 }

@@ -6,8 +6,9 @@
 //! the map is re-optimized. Pose errors are `[δθ, δp]` in the parent frame G (radians, metres).
 
 use geometry::camera::Camera;
+use geometry::is_coordinate;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix6, Matrix6xX, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Vector2, Vector3};
 use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
 
@@ -16,6 +17,12 @@ use crate::sessions::Session;
 /// Standard deviation of a map pixel (px) where the builder of a map states no other: features are located to about a
 /// pixel.
 pub const DEFAULT_SIGMA_PX: f64 = 1.0;
+
+/// Largest id of a keyframe or a landmark: the ids of two maps can be added, which merging does.
+pub const MAX_ID: u64 = u64::MAX / 2;
+
+/// Smallest depth (m) at which a point counts as in front of a camera: less is a division by nearly zero.
+const MIN_DEPTH: f64 = 1e-3;
 
 /// What applies to the map as a whole; manifests have it under these names.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,6 +98,25 @@ pub struct Keyframe {
     /// All features seen in the image, with or without a landmark. `None` where the builder kept none:
     /// recognition needs only the observations of landmarks.
     pub features: Option<FeatureSet>,
+}
+
+impl Keyframe {
+    /// A point in the keyframe's camera frame (m): on the ray of the pixel where the keyframe observes it, at the depth that the poses
+    /// give.
+    ///
+    /// The poses of a map are uncertain: transformed alone, the point would miss that pixel by the errors of two of them.
+    ///
+    /// # Arguments
+    /// * `in_global`: in G (m).
+    ///
+    /// # Returns
+    /// `None` where the point is not in front of the camera, or the pixel has no ray.
+    pub fn point_on_ray(&self, pixel: [f32; 2], in_global: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let depth = self.global_from_keyframe.pose.inverse_transform(in_global).z;
+        let ray = self.camera.unproject(&Vector2::from(pixel.map(f64::from))).ok()?;
+        let point = ray.push(1.0) * depth;
+        (depth > MIN_DEPTH && point.iter().copied().all(is_coordinate)).then_some(point)
+    }
 }
 
 /// Standard deviations of the frame of a map that defines its own: of positions along an axis (m), and of the rotation about gravity

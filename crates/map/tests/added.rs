@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use map::contents::{AddedFeaturesProblem, ImageProblem};
+use map::contents::{AddedFeaturesProblem, ImageProblem, LandmarkProblem};
 use map::file::{SegmentName, SegmentWriter};
+use map::model::MAX_ID;
 use map::store::{StoreError, StoredImages, load_map, open_map, save_map};
 use map::{ContentsError, EXTENDED_STORE_SCHEMA, KeptImage, Landmark, MapContents, STORE_SCHEMA};
 use proptest::prelude::*;
@@ -104,6 +105,19 @@ fn the_stated_bytes_of_landmarks_are_those_of_the_files() {
     for (at, added) in map.added_features.iter().enumerate() {
         assert_eq!(bytes(&stated["added_features"][at]["landmarks"]), of(&added.landmarks));
     }
+}
+
+#[test]
+fn ids_for_which_there_is_no_room_are_refused_after_renumbering() {
+    let mut map = extended();
+    for landmarks in [&mut map.landmarks, &mut map.added_features[0].landmarks] {
+        landmarks.last_mut().unwrap().id = MAX_ID;
+    }
+    map.renumber_added();
+    let error = map.validate().unwrap_err();
+    let ContentsError::AddedFeatures { problem, .. } = &error else { panic!("{error}") };
+    let AddedFeaturesProblem::Landmark { problem, .. } = problem else { panic!("{error}") };
+    assert_eq!(*problem, LandmarkProblem::Id);
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! Edits keep a map valid and every landmark that stays in its place.
+//! Edits keep a map valid, and every landmark that stays where its anchor sees it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use map::{KeyframeCrossCovariance, Landmark, MapContents};
-use nalgebra::Vector3;
+use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents};
+use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
 use testing::{Place, PlaceOptions, add_images, add_second_kind};
 
@@ -19,20 +19,32 @@ fn place(seed: u64) -> MapContents {
     map
 }
 
-/// Positions of the landmarks in G, of all kinds of features, by id.
+fn keyframe(contents: &MapContents, id: u64) -> &Keyframe {
+    contents.keyframes.iter().find(|keyframe| keyframe.id == id).unwrap()
+}
+
+/// The landmarks of all kinds of features, by id.
+fn landmarks(contents: &MapContents) -> BTreeMap<u64, &Landmark> {
+    let landmarks = contents.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks);
+    landmarks.map(|landmark| (landmark.id, landmark)).collect()
+}
+
+/// Their positions in G, by id.
 fn positions(contents: &MapContents) -> BTreeMap<u64, Vector3<f64>> {
-    let pose = |id| {
-        let keyframe = contents.keyframes.iter().find(|keyframe| keyframe.id == id).unwrap();
-        keyframe.global_from_keyframe.pose
+    let position = |landmark: &Landmark| {
+        let anchor = keyframe(contents, landmark.anchor);
+        anchor.global_from_keyframe.pose.transform(&landmark.position_in_anchor)
     };
-    let position = |landmark: &Landmark| pose(landmark.anchor).transform(&landmark.position_in_anchor);
     let landmarks = contents.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks);
     landmarks.map(|landmark| (landmark.id, position(landmark))).collect()
 }
 
 proptest! {
     #[test]
-    fn what_stays_is_where_it_was(seed in 0_u64..1000, chosen in proptest::collection::vec(any::<bool>(), 12)) {
+    fn what_stays_is_where_its_anchor_sees_it(
+        seed in 0_u64..1000,
+        chosen in proptest::collection::vec(any::<bool>(), 12),
+    ) {
         let before = place(seed);
         let mut index = chosen.iter();
         let removed: BTreeSet<u64> =
@@ -41,9 +53,21 @@ proptest! {
         remove_keyframes(&mut after, &removed);
         after.validate().unwrap();
         prop_assert_eq!(after.keyframes.len(), before.keyframes.len() - removed.len());
-        let (was, is) = (positions(&before), positions(&after));
-        for (id, position) in &is {
-            prop_assert!((position - was[id]).norm() < 1e-9);
+        let (was, is) = (landmarks(&before), landmarks(&after));
+        let were_at = positions(&before);
+        for (id, landmark) in &is {
+            let in_anchor = landmark.position_in_anchor;
+            if landmark.anchor == was[id].anchor {
+                prop_assert_eq!(in_anchor, was[id].position_in_anchor);
+                continue;
+            }
+            // At the depth that the poses give, where the anchor sees it.
+            let anchor = keyframe(&after, landmark.anchor);
+            let depth = anchor.global_from_keyframe.pose.inverse_transform(&were_at[id]).z;
+            prop_assert!((in_anchor.z - depth).abs() < 1e-9);
+            let seen = landmark.observations.iter().find(|seen| seen.keyframe == anchor.id).unwrap();
+            let pixel = anchor.camera.project(&in_anchor).unwrap();
+            prop_assert!((pixel - Vector2::from(seen.pixel.map(f64::from))).norm() < 1e-6);
         }
         for landmark in before.landmarks_of_kinds().flat_map(|(_, landmarks)| landmarks) {
             let observed = landmark.observations.iter().any(|seen| !removed.contains(&seen.keyframe));
@@ -55,6 +79,23 @@ proptest! {
         let both = |cross: &&KeyframeCrossCovariance| !removed.contains(&cross.a) && !removed.contains(&cross.b);
         prop_assert_eq!(after.cross_covariances.len(), before.cross_covariances.iter().filter(both).count());
     }
+}
+
+/// The poses of the map put the landmark behind the next observer.
+#[test]
+fn a_landmark_is_anchored_where_it_is_in_front_of_the_camera() {
+    let mut map = place(3);
+    let at = map.landmarks.iter().position(|landmark| landmark.observations.len() > 2).unwrap();
+    let [id, first, second, third] = {
+        let Landmark { id, anchor, observations, .. } = &map.landmarks[at];
+        [*id, *anchor, observations[1].keyframe, observations[2].keyframe]
+    };
+    let position = positions(&map)[&id];
+    let behind = map.keyframes.iter_mut().find(|keyframe| keyframe.id == second).unwrap();
+    let pose = &mut behind.global_from_keyframe.pose;
+    pose.translation = position + pose.rotation * Vector3::z();
+    remove_keyframes(&mut map, &BTreeSet::from([first]));
+    assert_eq!(landmarks(&map)[&id].anchor, third);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The ledger of sessions: what is stored is true, and what is not true is found.
 
-use map::model::Keyframe;
+use map::model::{Keyframe, MAX_ID};
 use map::sessions::{LedgerProblem, RecordedDigest, Session, SessionDifference, SharedReadings};
 use map::{MapContents, edit, store};
 use proptest::prelude::*;
@@ -205,6 +205,16 @@ fn the_noise_of_a_map_is_that_of_the_noisiest_session_that_it_has_keyframes_of()
     assert_eq!((map.info.covering_sigma_px(), map.info.first_sigma_px()), (0.8, 0.8));
     // It is stored with the ledger.
     assert_eq!(stored(&map).info.sessions[1].sigma_px, Some(2.5));
+}
+
+#[test]
+fn a_ledger_whose_ids_leave_no_room_for_others_is_refused() {
+    let mut map = two_drives();
+    map.info.sessions[1].keyframe_ids[1] = MAX_ID;
+    map.validate().unwrap();
+    map.info.sessions[1].keyframe_ids[1] = u64::MAX;
+    let problem = map.audit_sessions().remove(0);
+    assert!(matches!(problem, LedgerProblem::LargeIds { last: u64::MAX, .. }), "{problem}");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use geometry::{Camera, Distortion};
+use map::model::MAX_ID;
 use map::store::{self, SavedMap};
 use map::{ContentsError, KeyframeCrossCovariance, MapContents, StoreError};
 use nalgebra::{Matrix6, Vector3};
@@ -171,6 +172,11 @@ fn validate_names_what_is_wrong() {
     assert!(broken(&|map| map.info.gravity_in_global = Some(Vector3::new(0.0, 0.0, -9.81))).contains("unit"));
     assert!(broken(&|map| map.info.sigma_px = 0.0).contains("pixel sigma"));
     assert!(broken(&|map| map.keyframes[1].id = map.keyframes[0].id).contains("twice"));
+    assert!(broken(&|map| map.keyframes[1].id = u64::MAX).contains("its id is larger than"));
+    assert!(broken(&|map| map.landmarks[1].id = MAX_ID + 1).contains("its id is larger than"));
+    let mut largest = good.clone();
+    largest.landmarks[1].id = MAX_ID;
+    largest.validate().unwrap();
     assert!(
         broken(&|map| map.keyframes[0].global_from_keyframe.pose.translation.x = f64::NAN).contains("finite")
     );

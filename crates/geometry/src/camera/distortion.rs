@@ -5,6 +5,7 @@
 
 use super::error::CameraError;
 use super::plausibility::MAX_DISTORTION;
+use super::polynomial::is_positive_until;
 use super::sphere::{DoubleSphere, Eucm, Omni};
 use super::{rational, thin_prism};
 use nalgebra::{Matrix2, Vector2};
@@ -163,7 +164,7 @@ impl Distortion {
             Self::RadialTangential([k1, k2, ..]) => {
                 normalized.norm_squared() < radial_limit_squared(*k1, *k2)
             }
-            Self::Equidistant(k) => equidistant(k, normalized.norm().atan()).1 > 0.0,
+            Self::Equidistant(k) => equidistant_increases_to(k, normalized.norm().atan()),
             _ => self.covers_general(normalized),
         }
     }
@@ -246,6 +247,23 @@ pub(super) fn equidistant(k: &[f64; 4], t: f64) -> (f64, f64) {
     let value = t * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
     let slope = 1.0 + t2 * (3.0 * k[0] + t2 * (5.0 * k[1] + t2 * (7.0 * k[2] + t2 * 9.0 * k[3])));
     (value, slope)
+}
+
+/// The derivative of the equidistant polynomial by powers of `t^2`.
+pub(super) fn equidistant_slope(k: &[f64; 4]) -> [f64; 5] {
+    [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
+}
+
+/// Whether the equidistant polynomial increases from the centre out to an angle (rad).
+///
+/// The constant term and the negative ones of the slope, without the positive ones, decrease with the angle: where they are positive,
+/// the slope is so from the centre on. Images of real lenses lie there, so that few rays need the search for a fold.
+pub(super) fn equidistant_increases_to(k: &[f64; 4], t: f64) -> bool {
+    let t2 = t * t;
+    let slope = equidistant_slope(k);
+    let [_, c1, c2, c3, c4] = slope.map(|coefficient| coefficient.min(0.0));
+    let least = 1.0 + t2 * (c1 + t2 * (c2 + t2 * (c3 + t2 * c4)));
+    equidistant(k, t).1 > 0.0 && (least > 0.0 || is_positive_until(&slope, t2))
 }
 
 /// Derivatives of the radial-tangential model with respect to `k1`, `k2`, `p1` and `p2`.

@@ -1,7 +1,10 @@
 //! Undistortion: closed form where it exists, otherwise guarded Newton iterations with analytic derivatives.
 
-use super::distortion::{Distortion, equidistant, fov_scale, radial_limit_squared};
+use super::distortion::{
+    Distortion, equidistant, equidistant_increases_to, equidistant_slope, fov_scale, radial_limit_squared,
+};
 use super::error::ProjectionError;
+use super::polynomial::first_positive_root;
 use super::sphere::{DoubleSphere, Eucm, Omni};
 use super::{rational, thin_prism};
 use nalgebra::{Matrix2, Vector2};
@@ -179,10 +182,24 @@ pub(super) fn newton(
     if is_found { Ok(estimate) } else { Err(ProjectionError::OutsideModel) }
 }
 
-/// The angle (rad, below 90 degrees) whose equidistant polynomial is `radius`: bracketed Newton.
+/// The angle (rad, below 90 degrees and the first fold) whose equidistant polynomial is `radius`.
 fn equidistant_angle(k: &[f64; 4], radius: f64) -> Result<f64, ProjectionError> {
-    let (mut low, mut high) = (0.0, FRAC_PI_2);
-    let mut angle = radius.min(0.99 * FRAC_PI_2);
+    if let Some(angle) = equidistant_angle_below(FRAC_PI_2, k, radius)
+        && equidistant_increases_to(k, angle)
+    {
+        return Ok(angle);
+    }
+    // A fold may have led the iteration beyond it.
+    let fold = first_positive_root(&equidistant_slope(k)).sqrt();
+    let angle = if fold < FRAC_PI_2 { equidistant_angle_below(fold, k, radius) } else { None };
+    angle.ok_or(ProjectionError::OutsideModel)
+}
+
+/// An angle (rad) below a limit whose equidistant polynomial is `radius`, where the polynomial increases: bracketed Newton. It finds the
+/// one that there is where the polynomial increases up to the limit.
+fn equidistant_angle_below(limit: f64, k: &[f64; 4], radius: f64) -> Option<f64> {
+    let (mut low, mut high) = (0.0, limit);
+    let mut angle = radius.min(0.99 * limit);
     for _ in 0..MAX_ITERATIONS {
         let (value, slope) = equidistant(k, angle);
         let residual = radius - value;
@@ -200,9 +217,6 @@ fn equidistant_angle(k: &[f64; 4], radius: f64) -> Result<f64, ProjectionError> 
         angle = next;
     }
     let (value, slope) = equidistant(k, angle);
-    if (radius - value).abs() <= ACCEPTABLE * (1.0 + radius) && slope > 0.0 && angle < FRAC_PI_2 {
-        Ok(angle)
-    } else {
-        Err(ProjectionError::OutsideModel)
-    }
+    let is_found = (radius - value).abs() <= ACCEPTABLE * (1.0 + radius) && slope > 0.0 && angle < limit;
+    is_found.then_some(angle)
 }

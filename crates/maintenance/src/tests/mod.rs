@@ -7,6 +7,7 @@ mod parts;
 use std::collections::{BTreeMap, BTreeSet};
 
 use map::MapContents;
+use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 use testing::{Place, PlaceOptions, add_second_kind};
@@ -14,6 +15,7 @@ use testing::{Place, PlaceOptions, add_second_kind};
 use crate::drive::Drive;
 use crate::existence::{ExistenceModel, log_odds, probability, updated};
 use crate::gone::{FALSE_SIGHTING, remove_gone, remove_gone_of_added_kinds, update_existence};
+use crate::position_grid::PositionGrid;
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
 use crate::sightings::Sighting;
@@ -82,6 +84,28 @@ fn landmarks_of_added_kinds_go_with_those_that_are_nearest() {
     remove_gone_of_added_kinds(&mut map, &gone_m);
     let left: Vec<u64> = map.added_features[0].landmarks.iter().map(|copy| copy.id).collect();
     assert_eq!(left, expected);
+}
+
+#[test]
+fn the_nearest_of_a_grid_is_the_nearest_of_all_within_the_side_of_a_cube() {
+    let mut rng = StdRng::seed_from_u64(3);
+    let mut positions = |count: usize| -> Vec<Vector3<f64>> {
+        (0..count).map(|_| Vector3::from_fn(|_, _| rng.random_range(-2.0..2.0))).collect()
+    };
+    let (all, side_m) = (positions(80), 0.6);
+    let grid = PositionGrid::new(all.iter().copied(), side_m);
+    let mut near = 0;
+    for position in positions(1000) {
+        let nearest = all.iter().map(|of| (of - position).norm()).fold(f64::INFINITY, f64::min);
+        let found = grid.nearest(&position);
+        if nearest <= side_m {
+            near += 1;
+            assert!((found - nearest).abs() < 1e-12, "{found} {nearest}");
+        } else {
+            assert!(found > side_m, "{found} {nearest}");
+        }
+    }
+    assert!((200..900).contains(&near), "{near}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ use geometry::covariance_check::CovarianceError;
 use geometry::{CameraError, MAX_COORDINATE_M};
 use protocol::{KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
 
+use crate::model::MAX_ID;
 use crate::sessions::LedgerProblem;
 
 /// An invariant that a map violates.
@@ -121,6 +122,9 @@ pub enum MetadataProblem {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyframeProblem {
+    /// The id is too large.
+    #[error("its id is larger than {}, which leaves no room for the ids of other maps", MAX_ID)]
+    Id,
     /// Two keyframes have this id.
     #[error("the id occurs twice")]
     Duplicate,
@@ -165,6 +169,9 @@ pub enum KeyframeProblem {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LandmarkProblem {
+    /// The id is too large.
+    #[error("its id is larger than {}, which leaves no room for the ids of other maps", MAX_ID)]
+    Id,
     /// Two landmarks have this id.
     #[error("the id occurs twice")]
     Duplicate,

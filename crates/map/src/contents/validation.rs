@@ -14,7 +14,7 @@ use super::error::{
 use crate::contents::MapContents;
 use crate::model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, LandmarkExistence,
-    MapMetadata, Observation,
+    MAX_ID, MapMetadata, Observation,
 };
 use crate::sessions::check_ledger;
 
@@ -26,7 +26,7 @@ type Keyframes<'a> = BTreeMap<KeyframeId, &'a Keyframe>;
 type CommonErrors<'a> = BTreeMap<KeyframeId, &'a CommonError>;
 
 impl MapContents {
-    /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
+    /// Checks every invariant of a map: ids are unique and at most [`MAX_ID`], references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
     /// keyframe, what its common error leaves of it, and of each pair with a cross-covariance) are symmetric and positive
     /// semi-definite, each landmark is observed by its anchor, aliases are of other keyframes and have finite log-odds, existence is of
@@ -154,6 +154,7 @@ pub(super) fn metadata_problem(info: &MapMetadata) -> Option<MetadataProblem> {
 
 /// Checks one keyframe by itself.
 fn check_keyframe(info: &MapMetadata, keyframe: &Keyframe) -> Result<(), KeyframeProblem> {
+    ensure(keyframe.id <= MAX_ID, KeyframeProblem::Id)?;
     let pose = &keyframe.global_from_keyframe.pose;
     let position: [f64; 3] = pose.translation.into();
     ensure(position.iter().copied().all(is_coordinate), KeyframeProblem::Position { position })?;
@@ -181,6 +182,7 @@ pub(super) fn check_landmark<'a>(
     landmark: &Landmark,
     keyframe: impl Fn(KeyframeId) -> Option<&'a Keyframe>,
 ) -> Result<(), LandmarkProblem> {
+    ensure(landmark.id <= MAX_ID, LandmarkProblem::Id)?;
     let position: [f64; 3] = landmark.position_in_anchor.into();
     ensure(position.iter().copied().all(is_coordinate), LandmarkProblem::Position { position })?;
     let mut observers = BTreeSet::new();

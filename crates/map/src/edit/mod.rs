@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use protocol::KeyframeId;
 
 use crate::contents::MapContents;
-use crate::model::{Keyframe, Landmark};
+use crate::model::{Keyframe, Landmark, Observation};
 
 /// A box in G with sides along its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,8 +38,9 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
 
 /// Takes keyframes out of a map, with their observations, cross-covariances, common errors, aliases and images.
 ///
-/// A landmark whose anchor is taken out is expressed in the frame of the next keyframe that observes it; one that no keyframe
-/// observes any more is taken out, too. Poses and covariances of the others stay: they say what was learned from all.
+/// A landmark whose anchor is taken out is anchored in the next keyframe that observes it, at the depth that the poses give on the ray
+/// of that keyframe's own pixel; one that no keyframe observes any more is taken out, too. Poses and covariances of the others stay:
+/// they say what was learned from all.
 ///
 /// # Example
 /// ```
@@ -53,36 +54,68 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
 /// # Ok::<(), map::ContentsError>(())
 /// ```
 pub fn remove_keyframes(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
-    let poses = contents.keyframe_poses();
     let stays = |keyframe: KeyframeId| !removed.contains(&keyframe);
-    contents.keyframes.retain(|keyframe| stays(keyframe.id));
+    let mut keyframes = std::mem::take(&mut contents.keyframes);
+    let observers = by_id(&keyframes);
     for landmarks in contents.landmarks_of_kinds_mut() {
-        landmarks.retain_mut(|landmark| keep_observations(landmark, &poses, stays));
+        landmarks.retain_mut(|landmark| keep_observations(landmark, &observers, stays));
     }
+    keyframes.retain(|keyframe| stays(keyframe.id));
+    contents.keyframes = keyframes;
     contents.drop_dangling();
 }
 
-/// Leaves a landmark the observations of some keyframes, in the frame of the first of them where it had another one's.
+fn by_id(keyframes: &[Keyframe]) -> BTreeMap<KeyframeId, &Keyframe> {
+    keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect()
+}
+
+/// Leaves a landmark the observations of some keyframes, anchored in one of them where its anchor was another one.
+///
+/// # Arguments
+/// * `keyframes`: all that observe it.
 ///
 /// # Returns
 /// Whether there are any.
 fn keep_observations(
     landmark: &mut Landmark,
-    poses: &BTreeMap<KeyframeId, Pose>,
+    keyframes: &BTreeMap<KeyframeId, &Keyframe>,
     stays: impl Fn(KeyframeId) -> bool,
 ) -> bool {
     landmark.observations.retain(|observation| stays(observation.keyframe));
-    let Some(next) = landmark.observations.first() else { return false };
-    if !stays(landmark.anchor) {
-        let [Some(before), Some(now)] = [landmark.anchor, next.keyframe].map(|keyframe| poses.get(&keyframe))
-        else {
-            return false;
-        };
-        let in_global = before.transform(&landmark.position_in_anchor);
-        landmark.anchor = next.keyframe;
-        landmark.position_in_anchor = now.inverse_transform(&in_global);
+    if landmark.observations.is_empty() {
+        return false;
     }
+    if stays(landmark.anchor) {
+        return true;
+    }
+    let Some(before) = keyframes.get(&landmark.anchor) else { return false };
+    let in_global = before.global_from_keyframe.pose.transform(&landmark.position_in_anchor);
+    let Some((anchor, position)) = anchored(&landmark.observations, keyframes, &in_global) else {
+        return false;
+    };
+    landmark.anchor = anchor;
+    landmark.position_in_anchor = position;
     true
+}
+
+/// The first observer that has a landmark in front of its camera, and the position there, see [`Keyframe::point_on_ray`]; where none
+/// has, the first one and the position that the poses give.
+///
+/// # Arguments
+/// * `in_global`: position of the landmark in G (m).
+fn anchored(
+    observations: &[Observation],
+    keyframes: &BTreeMap<KeyframeId, &Keyframe>,
+    in_global: &Vector3<f64>,
+) -> Option<(KeyframeId, Vector3<f64>)> {
+    let in_front = observations.iter().find_map(|seen| {
+        let position = keyframes.get(&seen.keyframe)?.point_on_ray(seen.pixel, in_global)?;
+        Some((seen.keyframe, position))
+    });
+    in_front.or_else(|| {
+        let first = keyframes.get(&observations.first()?.keyframe)?;
+        Some((first.id, first.global_from_keyframe.pose.inverse_transform(in_global)))
+    })
 }
 
 /// Takes out the landmarks, of all kinds of features, for whose position in G (m) a condition does not hold.

@@ -4,12 +4,12 @@ use std::collections::BTreeSet;
 
 use protocol::{KeyframeId, LandmarkId};
 
-use super::keep_observations;
+use super::{by_id, keep_observations};
 use crate::contents::MapContents;
 use crate::model::{KeyframeAliases, Landmark};
 
 /// Some keyframes of a map with the landmarks of the primary kind that they observe, as a map: observations and covariances are those
-/// within the part. A landmark whose anchor is not in the part is expressed in the frame of the first of its keyframes that observes it.
+/// within the part. A landmark whose anchor is not in the part is anchored in one of its keyframes, as by [`super::remove_keyframes`].
 /// Images are left out.
 ///
 /// # Arguments
@@ -26,10 +26,10 @@ use crate::model::{KeyframeAliases, Landmark};
 /// ```
 pub fn part_of(contents: &MapContents, keyframes: &BTreeSet<KeyframeId>) -> MapContents {
     let has = |id: &KeyframeId| keyframes.contains(id);
-    let poses = contents.keyframe_poses();
+    let observers = by_id(&contents.keyframes);
     let is_seen = |landmark: &&Landmark| landmark.observations.iter().any(|seen| has(&seen.keyframe));
     let mut landmarks: Vec<Landmark> = contents.landmarks.iter().filter(is_seen).cloned().collect();
-    landmarks.retain_mut(|landmark| keep_observations(landmark, &poses, |keyframe| has(&keyframe)));
+    landmarks.retain_mut(|landmark| keep_observations(landmark, &observers, |keyframe| has(&keyframe)));
     let landmark_ids: BTreeSet<LandmarkId> = landmarks.iter().map(|landmark| landmark.id).collect();
     let aliases = contents.aliases.iter().filter(|aliases| has(&aliases.keyframe));
     let within = |aliases: &KeyframeAliases| KeyframeAliases {

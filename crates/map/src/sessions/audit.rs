@@ -7,7 +7,7 @@ use protocol::KeyframeId;
 use super::overlap::SessionOverlap;
 use super::session::{MAX_TEXT_BYTES, Session, SessionId};
 use crate::contents::MapContents;
-use crate::model::{Keyframe, MapMetadata};
+use crate::model::{Keyframe, MAX_ID, MapMetadata};
 
 /// What is wrong with the ledger of a map.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -34,6 +34,14 @@ pub enum LedgerProblem {
         session: String,
         /// First and last.
         ids: [KeyframeId; 2],
+    },
+    /// The ids of a session are too large.
+    #[error("session {session:?} has keyframes up to {last}: ids are at most {MAX_ID}")]
+    LargeIds {
+        /// Name of the session.
+        session: String,
+        /// The last one.
+        last: KeyframeId,
     },
     /// Two sessions have one id.
     #[error("session {session:?} ({id}) is listed twice")]
@@ -145,6 +153,9 @@ pub(crate) fn check_ledger(info: &MapMetadata, keyframes: &[Keyframe]) -> Result
         }
         if ids[0] > ids[1] || last.is_some_and(|last| last >= ids[0]) {
             return Err(LedgerProblem::Ids { session: name.clone(), ids: *ids });
+        }
+        if ids[1] > MAX_ID {
+            return Err(LedgerProblem::LargeIds { session: name.clone(), last: ids[1] });
         }
         if !known.insert(*id) {
             return Err(LedgerProblem::Twice { session: name.clone(), id: *id });

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use map::contents::MapContents;
 use map::edit;
-use map::model::{Landmark, LandmarkExistence};
+use map::model::{Keyframe, Landmark, LandmarkExistence};
 use protocol::{KeyframeId, LandmarkId};
 
 use super::located::LocatedErrors;
@@ -63,7 +63,8 @@ fn put_back_landmarks(
     let known: BTreeSet<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let was: BTreeMap<LandmarkId, _> =
         before.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
-    let poses = map.keyframe_poses();
+    let keyframes: BTreeMap<KeyframeId, &Keyframe> =
+        map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
     map.landmarks.retain(|landmark| !(gone.contains(&landmark.id) && was.contains_key(&landmark.id)));
     let mut new: Vec<Landmark> = Vec::new();
     for (landmark, position) in after.landmarks_in_global() {
@@ -75,10 +76,15 @@ fn put_back_landmarks(
         let of_map = &mut map.landmarks[at];
         let seen = landmark.observations.iter().filter(|seen| !known.contains(&seen.keyframe));
         of_map.observations.extend(seen.cloned());
-        if let Some(anchor) = poses.get(&of_map.anchor)
+        if let Some(anchor) = keyframes.get(&of_map.anchor)
             && (position - was).norm() > UNMOVED_M
         {
-            of_map.position_in_anchor = anchor.inverse_transform(&position);
+            // What an anchor beyond the border sees has no part in where the landmark is now.
+            let own = of_map.observations.iter().find(|seen| seen.keyframe == anchor.id);
+            let on_ray = own.filter(|_| !known.contains(&anchor.id));
+            let on_ray = on_ray.and_then(|seen| anchor.point_on_ray(seen.pixel, &position));
+            let by_poses = || anchor.global_from_keyframe.pose.inverse_transform(&position);
+            of_map.position_in_anchor = on_ray.unwrap_or_else(by_poses);
         }
     }
     map.landmarks.append(&mut new);
