@@ -8,6 +8,7 @@ use zenoh::qos::CongestionControl;
 
 use crate::error::ServeError;
 use recognition::LoadedMap;
+use releases::change::with_largest;
 
 /// The notice of a new version, with the size of the motion computed from the keyframes.
 ///
@@ -57,12 +58,7 @@ pub(crate) async fn publish(session: &Session, mut notice: MapChangeNotice) -> R
 /// The notice with the largest motion of a keyframe in place of all motions: that of the map as a whole is far smaller than that of a
 /// corner which moved.
 fn without_motions(notice: MapChangeNotice) -> MapChangeNotice {
-    let norm = |vector: &[f32; 3]| vector.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
-    let motions = &notice.keyframe_motions;
-    let stated_change = notice.stated_change.map(|stated| StatedChange {
-        sigma_theta_rad: motions.iter().map(|of| norm(&of.theta_rad)).fold(stated.sigma_theta_rad, f64::max),
-        sigma_p_m: motions.iter().map(|of| norm(&of.translation_m)).fold(stated.sigma_p_m, f64::max),
-    });
+    let stated_change = notice.stated_change.map(|stated| with_largest(stated, &notice.keyframe_motions));
     MapChangeNotice { keyframe_motions: Vec::new(), stated_change, ..notice }
 }
 

@@ -80,9 +80,10 @@ impl ReleasedMap {
         Ok(map.with_digest(release.digest))
     }
 
-    /// Notes that a release is served from now on: what the cache has of others is removed.
+    /// Notes that a release is served from now on: what the cache has of others is removed. Called in a thread that may block, within a
+    /// runtime.
     pub fn keep(&self, release: &Release) {
-        self.source.keep(release);
+        Handle::current().block_on(self.source.keep(release));
     }
 
     /// Notes that a release was refused. It is not loaded again.

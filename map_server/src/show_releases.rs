@@ -11,6 +11,8 @@ use viewer::{ViewedChange, ViewedChanges, Viewer};
 
 /// A release that was found and is not served yet is looked for again after this time.
 const SOON: Duration = Duration::from_secs(1);
+/// So often in a row: what is not served then was refused, or takes long to load.
+const SOON_LOOKS: u32 = 20;
 
 /// Compares the releases of one map.
 pub(crate) struct ReleaseArtist {
@@ -20,6 +22,28 @@ pub(crate) struct ReleaseArtist {
     choice: ReleaseChoice,
     /// Versions of the map, of the release before and of the candidate that are shown.
     shown: Option<(u64, Option<u64>, Option<u64>)>,
+    awaited: Awaited,
+}
+
+/// The release that was found and is not served yet.
+#[derive(Default)]
+struct Awaited {
+    version: u64,
+    looks: u32,
+}
+
+impl Awaited {
+    /// Notes that a version is not served yet.
+    ///
+    /// # Returns
+    /// Whether that is likely to change soon.
+    fn is_due_soon(&mut self, version: u64) -> bool {
+        if self.version != version {
+            *self = Self { version, looks: 0 };
+        }
+        self.looks = self.looks.saturating_add(1);
+        self.looks <= SOON_LOOKS
+    }
 }
 
 impl ReleaseArtist {
@@ -27,7 +51,7 @@ impl ReleaseArtist {
     /// * `name`: under which the map is shown.
     /// * `choice`: which of the store's releases its server follows.
     pub(crate) fn new(viewer: Arc<Viewer>, name: String, store: ReleaseStore, choice: ReleaseChoice) -> Self {
-        Self { viewer, name, store, choice, shown: None }
+        Self { viewer, name, store, choice, shown: None, awaited: Awaited::default() }
     }
 
     /// Looks for releases and candidates after each `period`, until it is cancelled.
@@ -48,13 +72,14 @@ impl ReleaseArtist {
     /// Shows what changed.
     ///
     /// # Returns
-    /// Whether the release that is followed is the one that is shown; `false` while a newer one is being loaded.
+    /// `false` while the release that is followed is being loaded, and is to be looked for again soon.
     async fn look(&mut self) -> Result<bool, ReleaseError> {
         let Some(served) = self.choice.followed(&self.store).await? else { return Ok(true) };
         let version = served.map.version;
         if self.viewer.version(&self.name) != Some(version) {
-            return Ok(false);
+            return Ok(!self.awaited.is_due_soon(version));
         }
+        self.awaited = Awaited::default();
         let former = self.former(&served).await?;
         let proposed = self.proposed(&served).await?;
         let version_of = |release: &Option<Release>| release.as_ref().map(|release| release.map.version);
@@ -106,5 +131,18 @@ impl ReleaseArtist {
         let newest = self.store.newest().await?;
         let state = candidate_state(&self.store, &proposed, newest.as_ref()).await?;
         Ok((state == CandidateState::Open).then_some(proposed))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_release_that_is_never_served_is_looked_for_rarely_and_the_next_one_soon_again() {
+        let mut awaited = Awaited::default();
+        let soon = (0..100).filter(|_| awaited.is_due_soon(7)).count();
+        assert_eq!(soon, SOON_LOOKS as usize);
+        assert!(!awaited.is_due_soon(7) && awaited.is_due_soon(8));
     }
 }

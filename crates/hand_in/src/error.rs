@@ -43,6 +43,12 @@ pub enum HandInError {
         /// The file.
         path: PathBuf,
     },
+    /// The header is whole, and no block that follows is.
+    #[error("{}: it has a header and nothing behind it that is whole: the robot was stopped before anything was recorded, delete it", path.display())]
+    NothingRecorded {
+        /// The file.
+        path: PathBuf,
+    },
     /// The header cannot be read.
     #[error("{}: the header: {source}", path.display())]
     Header {

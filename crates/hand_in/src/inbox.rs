@@ -6,14 +6,15 @@
 //! DIR/ROBOT/DIGEST.session       a file that is complete: digest, signature, form and robot were checked
 //! ```
 //! Whatever stops the program, a file is one of these. A part that is sent again changes nothing. A file whose check ended the program
-//! is removed at the next start, since it could end it again; its robot hands it in from the beginning.
+//! is removed at the next start, since it could end it again; its robot hands it in from the beginning, as it does a file that it began and
+//! did not go on with for a week.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs::{File, TryLockError};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use protocol::{SessionPart, Validate as _, keys};
 use sha2::{Digest as _, Sha256};
@@ -33,6 +34,8 @@ const INCOMPLETE: &str = "part";
 const CHECKED: &str = "check";
 /// Files that a robot may have begun to hand in; of more the one is removed that has waited longest.
 const MOST_INCOMPLETE: usize = 4;
+/// A file that a robot did not go on with for so long is removed when another one is begun.
+const ABANDONED: Duration = Duration::from_hours(7 * 24);
 
 /// Settings of an inbox.
 #[derive(Clone, Debug)]
@@ -79,13 +82,16 @@ pub enum InboxError {
     Invalid(String),
     /// There is no room.
     #[error(
-        "{whose} sessions in the inbox have {used} bytes, and may have {most}: extend the map by some and delete them, or raise {switch}"
+        "{whose} sessions in the inbox have {used} bytes with this one{}, and may have {most}: extend the map by some and delete them, or raise {switch}",
+        describe(*unfinished)
     )]
     Full {
         /// Whose.
         whose: &'static str,
         /// What they have, with this one.
         used: u64,
+        /// What is kept of it for files that have begun to come in.
+        unfinished: u64,
         /// What they may have.
         most: u64,
         /// The setting.
@@ -164,6 +170,10 @@ impl Inbox {
         let incomplete = folder.join(format!("{digest}_{}.{INCOMPLETE}", part.total_bytes));
         let of_part = |source| InboxError::Io { path: incomplete.clone(), source };
         let received = incomplete.metadata().map_or(0, |metadata| metadata.len());
+        if received == 0 {
+            // Before anything is kept for a robot that cannot end it.
+            self.key_of(robot)?;
+        }
         if received >= part.total_bytes {
             // All of it came before a server was killed or could not read its disk.
             return self.finish(robot, part, &incomplete, &complete);
@@ -229,12 +239,7 @@ impl Inbox {
 
     /// Checks the signature of a file before anything in it is decoded, then its form and its robot.
     fn check(&self, robot: &str, path: &Path, bytes: &[u8]) -> Result<(), InboxError> {
-        if let Some(keys) = &self.settings.keys {
-            let file = keys.join(format!("{robot}.pub"));
-            let key: PublicKey = file
-                .to_string_lossy()
-                .parse()
-                .map_err(|source| InboxError::Key { robot: robot.to_owned(), source })?;
+        if let Some(key) = self.key_of(robot)? {
             verify(path, bytes, &key)?;
         }
         let session = Session::check(path, bytes)?;
@@ -243,47 +248,76 @@ impl Inbox {
             return Err(InboxError::OtherRobot { recorded_by, robot });
         }
         if session.recorded.is_none() {
-            return Err(HandInError::NoHeader { path: path.to_owned() }.into());
+            return Err(HandInError::NothingRecorded { path: path.to_owned() }.into());
         }
         Ok(())
     }
 
-    /// Checks that there is room for a file that is begun, and removes the oldest of too many that were begun before.
+    /// The key of a robot; `None` where none is needed.
+    fn key_of(&self, robot: &str) -> Result<Option<PublicKey>, InboxError> {
+        let Some(keys) = &self.settings.keys else { return Ok(None) };
+        let key = keys.join(format!("{robot}.pub")).to_string_lossy().parse::<PublicKey>();
+        key.map(Some).map_err(|source| InboxError::Key { robot: robot.to_owned(), source })
+    }
+
+    /// Checks that there is room for a file that is begun, and removes the oldest of too many that were begun before, and those that no robot
+    /// goes on with.
     fn make_room(&self, folder: &Path, bytes: u64, begun: &Path) -> Result<(), InboxError> {
-        let own = if folder.exists() { sizes(folder)? } else { Vec::new() };
-        let mut incomplete: Vec<(SystemTime, PathBuf)> = own
-            .iter()
-            .filter(|(path, _)| path.extension().is_some_and(|of| of == INCOMPLETE) && path != begun)
-            .filter_map(|(path, _)| Some((path.metadata().ok()?.modified().ok()?, path.clone())))
-            .collect();
-        incomplete.sort();
-        let too_many = (incomplete.len() + 1).saturating_sub(MOST_INCOMPLETE);
-        let replaced: BTreeSet<&Path> =
-            incomplete[..too_many].iter().map(|(_, path)| path.as_path()).collect();
-        let sum = |sizes: Vec<(PathBuf, u64)>| {
-            let stay = sizes.iter().filter(|(path, _)| path != begun && !replaced.contains(path.as_path()));
-            stay.map(|(_, size)| size).sum::<u64>() + bytes
-        };
         let InboxSettings { folder: root, bytes_of_robot, bytes_in_all, .. } = &self.settings;
-        let used = sum(own.clone());
-        if used > *bytes_of_robot {
-            let (most, switch) = (*bytes_of_robot, "--inbox-robot-limit");
-            return Err(InboxError::Full { whose: "this robot's", used, most, switch });
-        }
         let mut all = Vec::new();
         for of_robot in folders_of_robots(root)? {
             all.extend(sizes(&of_robot)?);
         }
-        let used = sum(all);
-        if used > *bytes_in_all {
-            let (most, switch) = (*bytes_in_all, "--inbox-limit");
-            return Err(InboxError::Full { whose: "all", used, most, switch });
+        let now = SystemTime::now();
+        let mut replaced = BTreeSet::new();
+        let mut incomplete = Vec::new();
+        for (path, _) in all.iter().filter(|(path, _)| is_incomplete(path) && path != begun) {
+            let Some(written) = path.metadata().ok().and_then(|metadata| metadata.modified().ok()) else {
+                continue;
+            };
+            if now.duration_since(written).is_ok_and(|age| age > ABANDONED) {
+                replaced.insert(path.as_path());
+            } else if path.parent() == Some(folder) {
+                incomplete.push((written, path.as_path()));
+            }
+        }
+        incomplete.sort();
+        let too_many = (incomplete.len() + 1).saturating_sub(MOST_INCOMPLETE);
+        replaced.extend(incomplete[..too_many].iter().map(|(_, path)| *path));
+        let stay: Vec<&(PathBuf, u64)> =
+            all.iter().filter(|(path, _)| path != begun && !replaced.contains(path.as_path())).collect();
+        let of_robot: Vec<_> =
+            stay.iter().copied().filter(|(path, _)| path.parent() == Some(folder)).collect();
+        for (whose, files, most, switch) in [
+            ("this robot's", of_robot, *bytes_of_robot, "--inbox-robot-limit"),
+            ("all", stay, *bytes_in_all, "--inbox-limit"),
+        ] {
+            let used = bytes + files.iter().map(|(_, size)| size).sum::<u64>();
+            if used > most {
+                let unfinished = files.iter().filter(|(path, _)| is_incomplete(path));
+                let unfinished = unfinished.map(|(_, size)| size).sum();
+                return Err(InboxError::Full { whose, used, unfinished, most, switch });
+            }
         }
         for &path in &replaced {
             std::fs::remove_file(path).map_err(|source| InboxError::Io { path: path.to_owned(), source })?;
         }
         Ok(())
     }
+}
+
+/// What of a full inbox is kept for files that have begun to come in, for an error.
+fn describe(unfinished: u64) -> String {
+    if unfinished == 0 {
+        String::new()
+    } else {
+        format!(", {unfinished} of them for files that have only begun to come in")
+    }
+}
+
+/// Whether a file has begun to come in.
+fn is_incomplete(path: &Path) -> bool {
+    path.extension().is_some_and(|of| of == INCOMPLETE)
 }
 
 /// The folders of all robots.
@@ -315,7 +349,7 @@ fn sizes(folder: &Path) -> Result<Vec<(PathBuf, u64)>, InboxError> {
     let of_file = |path: PathBuf| {
         let announced = path
             .file_stem()
-            .filter(|_| path.extension().is_some_and(|of| of == INCOMPLETE))
+            .filter(|_| is_incomplete(&path))
             .and_then(|stem| stem.to_str()?.rsplit_once('_')?.1.parse().ok());
         let size = announced.map_or_else(|| path.metadata().map(|metadata| metadata.len()), Ok)?;
         Ok((path, size))

@@ -192,6 +192,34 @@ fn files_that_were_begun_and_never_ended_do_not_pile_up() {
 }
 
 #[test]
+fn files_that_nobody_goes_on_with_keep_no_room_for_ever() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = session(folder.path(), 1);
+    let settings = InboxSettings { bytes_in_all: 30_000, ..settings(folder.path()) };
+    let mut inbox = Inbox::open(settings).unwrap();
+    let begun = |total_bytes: u64| SessionPart { total_bytes, ..part(&bytes, 0, 400) };
+    inbox.take("ada", &begun(20_000)).unwrap();
+    let full = inbox.take("bob", &begun(20_001)).unwrap_err();
+    assert!(matches!(full, InboxError::Full { used: 40_001, unfinished: 20_000, .. }), "{full}");
+    assert!(full.to_string().contains("20000 of them for files that have only begun"), "{full}");
+    let path = &files(&folder.path().join("inbox"))[0];
+    let week_ago = std::time::SystemTime::now() - std::time::Duration::from_hours(8 * 24);
+    std::fs::File::options().write(true).open(path).unwrap().set_modified(week_ago).unwrap();
+    inbox.take("bob", &begun(20_001)).unwrap();
+    assert!(!path.exists());
+}
+
+#[test]
+fn a_session_without_a_whole_chunk_has_nothing_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("empty");
+    drop(SessionWriter::create(&path, &header()).unwrap());
+    let mut inbox = Inbox::open(settings(folder.path())).unwrap();
+    let refused = hand_in(&mut inbox, "ada", &std::fs::read(&path).unwrap()).unwrap_err();
+    assert!(matches!(refused, InboxError::Session(HandInError::NothingRecorded { .. })), "{refused}");
+}
+
+#[test]
 fn signed_sessions_are_those_of_the_key_and_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let keys = folder.path().join("keys");
@@ -238,4 +266,8 @@ fn signed_sessions_are_those_of_the_key_and_unchanged() {
     changed.pop();
     let keyless = hand_in(&mut inbox, "ada", &changed).unwrap_err();
     assert!(matches!(keyless, InboxError::Key { .. }), "{keyless}");
+    // Nor is anything kept for it.
+    let begun = inbox.take("ada", &SessionPart { total_bytes: 20_000, ..part(&changed, 0, PART) });
+    assert!(matches!(begun, Err(InboxError::Key { .. })), "{begun:?}");
+    assert_eq!(files(&folder.path().join("inbox")).len(), 1);
 }

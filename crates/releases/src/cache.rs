@@ -1,14 +1,16 @@
 //! Segments and the newest release, kept on disk: what was served once is served again when the store is away.
 //!
 //! ```text
-//! release.json          the release that was served last
+//! release.json          the release that was served last: its file in the store, its signature, and which store that is
 //! segments/{SHA-256}    verified whenever they are read
 //! ```
 
 use crate::error::ReleaseError;
 use crate::release::Release;
 use bytes::Bytes;
+use map::MapMetadata;
 use map::file::SegmentName;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -34,19 +36,21 @@ impl ReleaseCache {
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// The release that was served last; `None` where there is none that can be read.
+    /// The release that was served last, of whichever store; `None` where there is none that can be read. Its signature is not verified.
     pub fn release(&self) -> Option<Release> {
+        self.noted()?.release()
+    }
+
+    /// What was noted of the release that was served last.
+    pub(crate) fn noted(&self) -> Option<NotedRelease> {
         let text = files::read(self.folder.join(RELEASE), files::MAX_TEXT_BYTES).ok()?;
-        Release::decode_any(&text).ok()
+        serde_json::from_slice(&text).ok().or_else(|| NotedRelease::of_release_alone(text))
     }
 
     /// Notes which release is served from now on; the segments of others stay until [`Self::remove_others`].
-    ///
-    /// # Errors
-    /// [`ReleaseError::Cache`].
-    pub fn note_release(&self, release: &Release) -> Result<(), ReleaseError> {
+    pub(crate) fn note(&self, noted: &NotedRelease) -> Result<(), ReleaseError> {
         let path = self.folder.join(RELEASE);
-        let text = serde_json::to_vec_pretty(release)
+        let text = serde_json::to_vec(noted)
             .map_err(|error| ReleaseError::Cache { path: path.clone(), source: error.into() })?;
         write(&path, &text)
     }
@@ -86,6 +90,34 @@ impl ReleaseCache {
 
     fn path(&self, name: &SegmentName) -> PathBuf {
         self.folder.join(SEGMENTS).join(&name.sha256)
+    }
+}
+
+/// The release that was served last, with all that tells whether it may be served again.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct NotedRelease {
+    /// The store that it is of; `None` in a cache that an earlier program wrote.
+    pub(crate) place: Option<String>,
+    /// Version of its map as it was served, which may be a later one than that of the file.
+    pub(crate) version: u64,
+    /// Its file in the store.
+    pub(crate) file: String,
+    /// The signature of the file, where the store had to be signed.
+    pub(crate) signature: Option<String>,
+}
+
+impl NotedRelease {
+    /// That of a cache that has nothing but the release.
+    fn of_release_alone(text: Vec<u8>) -> Option<Self> {
+        let version = Release::decode_any(&text).ok()?.map.version;
+        Some(Self { place: None, version, file: String::from_utf8(text).ok()?, signature: None })
+    }
+
+    /// The release as it was served.
+    pub(crate) fn release(&self) -> Option<Release> {
+        let release = Release::decode_any(self.file.as_bytes()).ok()?;
+        Some(Release { map: MapMetadata { version: self.version, ..release.map }, ..release })
     }
 }
 

@@ -22,7 +22,7 @@ use map::MapMetadata;
 /// # Errors
 /// [`ReleaseError::NoCandidate`], [`ReleaseError::Overtaken`] where another release came since, [`ReleaseError::Decided`] where it was
 /// rejected, [`ReleaseError::SourceNotSigned`] where the store signs and the candidate is not signed with its key,
-/// [`ReleaseError::Conflict`], [`ReleaseError::Cleaning`], [`ReleaseError::Store`].
+/// [`ReleaseError::Conflict`], [`ReleaseError::Cleaning`], [`ReleaseError::TooLong`], [`ReleaseError::Store`].
 pub async fn promote(store: &ReleaseStore, candidate: u64, note: &Note) -> Result<Release, ReleaseError> {
     let proposed = store.candidate_to_sign(candidate).await?;
     let newest = store.newest().await?;
@@ -37,6 +37,7 @@ pub async fn promote(store: &ReleaseStore, candidate: u64, note: &Note) -> Resul
         promotion: Some(note.clone()),
         ..proposed.clone()
     };
+    let release = store.fitted(release)?;
     renew(store, newest.as_ref(), &release).await?;
     ensure_kept(store, &release).await?;
     let decision = decide(store, &proposed, candidate, Verdict::Promoted, note).await?;

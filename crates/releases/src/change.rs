@@ -64,6 +64,13 @@ impl ReleasedChange {
         }
     }
 
+    /// The same with the largest motion of a keyframe in place of all motions: robots take all that moved to have moved by so much.
+    #[must_use]
+    pub(crate) fn without_motions(self) -> Self {
+        let stated_change = self.stated_change.map(|stated| with_largest(stated, &self.keyframe_motions));
+        Self { keyframe_motions: Vec::new(), stated_change, ..self }
+    }
+
     /// The motions of both changes, one after the other; of a keyframe that one of them removed, or moved by an unknown amount, none.
     fn motions_with(&self, later: &Self) -> Vec<KeyframeMotion> {
         let by_keyframe = |change: &Self| -> BTreeMap<KeyframeId, KeyframeMotion> {
@@ -84,6 +91,15 @@ impl ReleasedChange {
                 (first, second) => first.or(second).copied(),
             })
             .collect()
+    }
+}
+
+/// The size of a change that no motion of a keyframe exceeds: the map as a whole moves by far less than a corner of it.
+pub fn with_largest(stated: StatedChange, motions: &[KeyframeMotion]) -> StatedChange {
+    let norm = |vector: &[f32; 3]| vector.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
+    StatedChange {
+        sigma_theta_rad: motions.iter().map(|of| norm(&of.theta_rad)).fold(stated.sigma_theta_rad, f64::max),
+        sigma_p_m: motions.iter().map(|of| norm(&of.translation_m)).fold(stated.sigma_p_m, f64::max),
     }
 }
 

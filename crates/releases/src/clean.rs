@@ -3,7 +3,8 @@
 use crate::cleaning::CleaningMark;
 use crate::error::ReleaseError;
 use crate::publish::now_unix_s;
-use crate::store::ReleaseStore;
+use crate::store::{ReleaseStore, put_s};
+use object_store::ObjectMeta;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -46,7 +47,8 @@ pub struct Cleaned {
 /// What is published meanwhile keeps its segments, or is refused ([`ReleaseError::Cleaning`]).
 ///
 /// # Errors
-/// [`ReleaseError::Store`]; [`ReleaseError::Damaged`] for a release that cannot be read: nothing is removed then.
+/// [`ReleaseError::Store`]; [`ReleaseError::Damaged`] for a release that cannot be read: nothing is removed then; [`ReleaseError::MarkLost`] where
+/// it took so long that something may be published meanwhile.
 pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Cleaned, ReleaseError> {
     if options.dry_run {
         return clean_marked(store, options, None).await;
@@ -65,38 +67,65 @@ async fn clean_marked(
     mut mark: Option<&mut CleaningMark<'_>>,
 ) -> Result<Cleaned, ReleaseError> {
     // The time is read and segments are listed first: what is put later is younger than the grace time, however long the rest takes.
-    let oldest = now_unix_s().saturating_sub(options.grace.as_secs());
+    let now_s = mark.as_ref().map_or_else(now_unix_s, |mark| mark.put_s());
+    let oldest = now_s.saturating_sub(options.grace.as_secs());
     let segments = store.segments().await?;
     let numbers = store.numbers().await?;
     let (former, kept) = numbers.split_at(numbers.len().saturating_sub(options.releases.max(1)));
     let mut needed = BTreeSet::new();
     for number in kept {
+        renew(&mut mark).await?;
         needed.extend(store.release(*number).await?.segments().map(|segment| segment.sha256.clone()));
     }
-    let candidates = candidates_before(store, kept, &mut needed).await?;
+    let candidates = candidates_before(store, kept, &mut needed, &mut mark).await?;
     let mut cleaned = Cleaned { releases: former.to_vec(), candidates, ..Cleaned::default() };
     // A release goes before its segments, so that no release lacks any.
     if mark.is_some() {
         for number in &cleaned.releases {
+            renew(&mut mark).await?;
             store.remove_release(*number).await?;
         }
         for number in &cleaned.candidates {
+            renew(&mut mark).await?;
             store.remove_candidate(*number).await?;
         }
     }
     for (name, object) in segments {
-        let put_s = u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
-        if needed.contains(&name) || put_s > oldest {
+        if needed.contains(&name) || put_s(&object) > oldest {
             continue;
         }
-        if let Some(mark) = &mut mark {
-            mark.renew().await?;
-            store.remove_segment(&name).await?;
+        renew(&mut mark).await?;
+        if mark.is_some() && !remove_unless_renewed(store, &name, &object).await? {
+            continue;
         }
         cleaned.bytes = cleaned.bytes.saturating_add(object.size);
         cleaned.segments.push(name);
     }
     Ok(cleaned)
+}
+
+async fn renew(mark: &mut Option<&mut CleaningMark<'_>>) -> Result<(), ReleaseError> {
+    match mark {
+        Some(mark) => mark.renew().await,
+        None => Ok(()),
+    }
+}
+
+/// Removes a segment, unless somebody has put it again since it was listed, or removed it.
+///
+/// # Returns
+/// Whether it was removed.
+async fn remove_unless_renewed(
+    store: &ReleaseStore,
+    name: &str,
+    listed: &ObjectMeta,
+) -> Result<bool, ReleaseError> {
+    let found = store.segment_found(name).await?;
+    if found.is_none_or(|found| found.last_modified > listed.last_modified) {
+        return Ok(false);
+    }
+    store.remove_segment(name).await?;
+    Ok(true)
 }
 
 /// The candidates that go with former releases.
@@ -108,11 +137,13 @@ async fn candidates_before(
     store: &ReleaseStore,
     kept: &[u64],
     needed: &mut BTreeSet<String>,
+    mark: &mut Option<&mut CleaningMark<'_>>,
 ) -> Result<Vec<u64>, ReleaseError> {
     let oldest = kept.first().copied().unwrap_or(0);
     let numbers = store.candidate_numbers().await?;
     let mut going = Vec::new();
     for number in &numbers {
+        renew(mark).await?;
         let candidate = store.candidate(*number).await?;
         if candidate.number <= oldest && Some(number) != numbers.last() {
             going.push(*number);
@@ -121,4 +152,26 @@ async fn candidates_before(
         }
     }
     Ok(going)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use map::file::SegmentName;
+
+    #[tokio::test]
+    async fn a_segment_that_was_put_again_since_it_was_listed_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ReleaseStore::open(folder.path().to_str().unwrap()).unwrap();
+        let bytes = b"a cell".to_vec();
+        let name = SegmentName::of(&bytes);
+        store.put_segment(&name, bytes.clone()).await.unwrap();
+        let (_, listed) = store.segments().await.unwrap().remove(0);
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        store.put_segment(&name, bytes).await.unwrap();
+        assert!(!remove_unless_renewed(&store, &name.sha256, &listed).await.unwrap());
+        let (_, listed) = store.segments().await.unwrap().remove(0);
+        assert!(remove_unless_renewed(&store, &name.sha256, &listed).await.unwrap());
+        assert!(!remove_unless_renewed(&store, &name.sha256, &listed).await.unwrap(), "it is gone");
+    }
 }

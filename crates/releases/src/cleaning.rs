@@ -2,10 +2,9 @@
 //!
 //! Whoever publishes puts its segments, then looks for marks, then whether all segments are there, and only then puts the release.
 //! Whoever cleans puts its mark before it lists the segments. So either the mark is seen, or the segments that were put are young
-//! in the list, or those that were removed are missed.
+//! in the list, or those that were removed are missed. Ages are those by the clock that dates the objects of the store.
 
 use crate::error::ReleaseError;
-use crate::publish::now_unix_s;
 use crate::release::Release;
 use crate::store::ReleaseStore;
 use std::collections::BTreeSet;
@@ -21,27 +20,42 @@ pub(crate) struct CleaningMark<'a> {
     store: &'a ReleaseStore,
     name: String,
     renewed: Instant,
+    /// When it was put first, s since 1970 by the store's clock.
+    put_s: u64,
 }
 
 impl<'a> CleaningMark<'a> {
     /// Puts a mark, and removes those of killed programs.
     pub(crate) async fn put(store: &'a ReleaseStore) -> Result<CleaningMark<'a>, ReleaseError> {
-        let name = format!("{}-{}", std::process::id(), now_unix_ns());
-        store.put_mark(&name).await?;
-        for (other, put_s) in store.marks().await? {
-            if is_stale(put_s) {
+        let (name, renewed) = (own_name(), Instant::now());
+        let put_s = store.put_mark(&name).await?;
+        for (other, other_s) in store.marks().await? {
+            if is_stale(other_s, put_s) {
                 store.remove_mark(&other).await?;
             }
         }
-        Ok(CleaningMark { store, name, renewed: Instant::now() })
+        Ok(CleaningMark { store, name, renewed, put_s })
     }
 
-    /// Keeps the mark from being taken for one of a killed program.
+    /// When it was put first, s since 1970 by the store's clock.
+    pub(crate) fn put_s(&self) -> u64 {
+        self.put_s
+    }
+
+    /// Keeps the mark from being taken for one of a killed program; called before each step.
+    ///
+    /// # Errors
+    /// [`ReleaseError::MarkLost`] where it may have been taken for one already.
     pub(crate) async fn renew(&mut self) -> Result<(), ReleaseError> {
-        if self.renewed.elapsed() > RENEWAL {
-            self.store.put_mark(&self.name).await?;
-            self.renewed = Instant::now();
+        let (now, age) = (Instant::now(), self.renewed.elapsed());
+        if age <= RENEWAL {
+            return Ok(());
         }
+        if age > STALE || !self.store.has_mark(&self.name).await? {
+            return Err(ReleaseError::MarkLost { place: self.store.place().to_owned() });
+        }
+        self.store.put_mark(&self.name).await?;
+        self.renewed = now;
         Ok(())
     }
 
@@ -57,20 +71,50 @@ impl<'a> CleaningMark<'a> {
 /// [`ReleaseError::Cleaning`].
 pub(crate) async fn ensure_kept(store: &ReleaseStore, release: &Release) -> Result<(), ReleaseError> {
     let cleaning = || ReleaseError::Cleaning { place: store.place().to_owned() };
-    if store.marks().await?.iter().any(|(_, put_s)| !is_stale(*put_s)) {
-        return Err(cleaning());
+    let marks = store.marks().await?;
+    if !marks.is_empty() {
+        let now_s = store.now_s(&own_name()).await?;
+        if marks.iter().any(|(_, put_s)| !is_stale(*put_s, now_s)) {
+            return Err(cleaning());
+        }
     }
     let present: BTreeSet<String> = store.segments().await?.into_iter().map(|(name, _)| name).collect();
     let is_there = release.segments().all(|segment| present.contains(&segment.sha256));
     if is_there { Ok(()) } else { Err(cleaning()) }
 }
 
-fn is_stale(put_s: u64) -> bool {
-    now_unix_s().saturating_sub(put_s) > STALE.as_secs()
+fn is_stale(put_s: u64, now_s: u64) -> bool {
+    now_s.saturating_sub(put_s) > STALE.as_secs()
+}
+
+/// A name that no other program puts at this time.
+fn own_name() -> String {
+    format!("{}-{}", std::process::id(), now_unix_ns())
 }
 
 /// A clock before 1970 gives 0.
 fn now_unix_ns() -> u128 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |since| since.as_nanos())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_mark_that_others_may_have_taken_for_a_killed_programs_is_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ReleaseStore::open(folder.path().to_str().unwrap()).unwrap();
+        let mut mark = CleaningMark::put(&store).await.unwrap();
+        let ago = |age: Duration| Instant::now().checked_sub(age).unwrap();
+        mark.renewed = ago(2 * RENEWAL);
+        mark.renew().await.unwrap();
+        assert!(mark.renewed.elapsed() < RENEWAL);
+        mark.renewed = ago(2 * STALE);
+        assert!(matches!(mark.renew().await, Err(ReleaseError::MarkLost { .. })));
+        mark.renewed = ago(2 * RENEWAL);
+        store.remove_mark(&mark.name).await.unwrap();
+        assert!(matches!(mark.renew().await, Err(ReleaseError::MarkLost { .. })));
+    }
 }

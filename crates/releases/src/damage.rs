@@ -39,6 +39,9 @@ pub enum Damage {
     /// The file of a release has the name of another one.
     #[error("it says that it is release {0}")]
     Number(u64),
+    /// The file of a candidate has the name of another one.
+    #[error("it says that it is candidate {0}")]
+    CandidateNumber(u64),
     /// A candidate among the live releases, or the other way round: somebody moved it.
     #[error("it says that it is {0}, and lies among the others: somebody moved it")]
     Stage(Stage),

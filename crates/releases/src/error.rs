@@ -109,6 +109,27 @@ pub enum ReleaseError {
         /// The store.
         place: String,
     },
+    /// While segments were removed, the mark that tells publishers of it could be taken for one of a killed program.
+    #[error(
+        "cleaning {place} was stopped: a step took longer than a minute, and others may take this program for one that was killed; clean again"
+    )]
+    MarkLost {
+        /// The store.
+        place: String,
+    },
+    /// The file of a release, candidate or decision would be longer than any that is read.
+    #[error(
+        "{object} would have {bytes} bytes, more than the {most} that can be read: nothing was published; publish the map in larger cells \
+         (publish-map --keyframes-per-cell)"
+    )]
+    TooLong {
+        /// The file.
+        object: String,
+        /// Its bytes.
+        bytes: u64,
+        /// The limit.
+        most: u64,
+    },
     /// The map is not a version of the one that is published there.
     #[error(
         "the map has the identity {given}, and {place} holds releases of another map ({published}): publish it elsewhere"
@@ -177,12 +198,12 @@ pub enum ReleaseError {
     #[error(transparent)]
     Key(#[from] signing::KeyError),
     /// The release has no such cell.
-    #[error("release {number} of {place} has no cell {cell}; driftless list-releases --cells names them")]
+    #[error("{release} of {place} has no cell {cell}; driftless list-releases --cells names them")]
     NoCell {
         /// The store.
         place: String,
-        /// The release.
-        number: u64,
+        /// [Title](crate::Release::title) of the release or candidate.
+        release: String,
         /// The cell.
         cell: CellId,
     },

@@ -31,7 +31,7 @@ pub async fn fetch(
     let digest = contents.digest();
     if digest != release.digest {
         let damage = Damage::Digest { found: digest, stated: release.digest };
-        return Err(store.damaged(format!("release {}", release.number), damage));
+        return Err(store.damaged(release.title(), damage));
     }
     Ok(contents)
 }
@@ -116,7 +116,7 @@ pub async fn fetch_cell(
 ) -> Result<Cell, ReleaseError> {
     let released = release.cell(cell).ok_or_else(|| ReleaseError::NoCell {
         place: store.place().to_owned(),
-        number: release.number,
+        release: release.title(),
         cell,
     })?;
     let serving = &released.serving;

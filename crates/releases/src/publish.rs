@@ -84,7 +84,8 @@ pub struct Published {
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
 /// [`ReleaseError::LosesSessions`] where the newest release has sessions that the map lacks and these may not be lost,
-/// [`ReleaseError::Conflict`] and [`ReleaseError::CandidateConflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments, [`ReleaseError::Store`].
+/// [`ReleaseError::Conflict`] and [`ReleaseError::CandidateConflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments,
+/// [`ReleaseError::TooLong`], [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
     mut contents: MapContents,
@@ -182,6 +183,7 @@ pub async fn publish(
         cells,
     };
     release.schema = release.schema_needed();
+    let release = store.fitted(release)?;
     ensure_kept(store, &release).await?;
     match candidate {
         Some(number) => store.put_candidate(&release, number).await?,
@@ -212,7 +214,7 @@ fn ensure_keeps_sessions(
 ///
 /// # Errors
 /// [`ReleaseError::NoRelease`], [`ReleaseError::SourceNotSigned`] where the store signs and the former release is not
-/// signed with its key, [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
+/// signed with its key, [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`], [`ReleaseError::TooLong`].
 pub async fn roll_back(store: &ReleaseStore, number: u64, note: &Note) -> Result<Outcome, ReleaseError> {
     let former = store.release_to_sign(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
@@ -233,6 +235,7 @@ pub async fn roll_back(store: &ReleaseStore, number: u64, note: &Note) -> Result
         map: MapMetadata { version, ..former.map.clone() },
         ..former
     };
+    let release = store.fitted(release)?;
     renew(store, Some(&newest), &release).await?;
     ensure_kept(store, &release).await?;
     store.put_release(&release).await?;

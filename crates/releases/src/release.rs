@@ -207,7 +207,7 @@ impl Release {
         let release = Self::decode_any(text)?;
         match (release.stage, release.candidate) {
             (Stage::Candidate, Some(candidate)) if candidate == number => Ok(release),
-            (Stage::Candidate, candidate) => Err(Damage::Number(candidate.unwrap_or(0))),
+            (Stage::Candidate, candidate) => Err(Damage::CandidateNumber(candidate.unwrap_or(0))),
             (Stage::Live, _) => Err(Damage::Stage(release.stage)),
         }
     }

@@ -1,6 +1,6 @@
 //! A store and the cache of what is served of it.
 
-use crate::cache::ReleaseCache;
+use crate::cache::{NotedRelease, ReleaseCache};
 use crate::error::{ReleaseError, with_causes};
 use crate::place::ReleaseChoice;
 use crate::release::Release;
@@ -41,19 +41,28 @@ impl ReleaseSource {
         self.choice.followed(&self.store).await
     }
 
-    /// The release that is to be served, or where none can be read the one that was served last, if that is of the same choice.
+    /// The release that is to be served, or where none can be read the one that was served last, if that is of the same store and choice, and
+    /// signed where it must be. One that is not signed is no reason to serve another.
     ///
     /// # Errors
-    /// [`ReleaseError::NoRelease`] and [`ReleaseError::NoCandidate`] where the store has not what was chosen; [`ReleaseError::Empty`], and
-    /// as [`ReleaseStore::release`], where nothing is cached either.
+    /// [`ReleaseError::NoRelease`] and [`ReleaseError::NoCandidate`] where the store has not what was chosen, [`ReleaseError::NotSigned`];
+    /// [`ReleaseError::Empty`], and as [`ReleaseStore::release`], where nothing is cached either.
     pub async fn newest_or_cached(&self) -> Result<Release, ReleaseError> {
         let error = match self.newest().await {
             Ok(Some(release)) => return Ok(release),
             Ok(None) => ReleaseError::Empty { place: self.store.place().to_owned() },
             Err(error) => error,
         };
-        let is_readable = matches!(error, ReleaseError::NoRelease { .. } | ReleaseError::NoCandidate { .. });
-        let cached = self.cache.release().filter(|release| !is_readable && self.choice.is_of(release));
+        let is_final = matches!(
+            error,
+            ReleaseError::NoRelease { .. }
+                | ReleaseError::NoCandidate { .. }
+                | ReleaseError::NotSigned { .. }
+        );
+        if is_final {
+            return Err(error);
+        }
+        let cached = self.cached().filter(|release| self.choice.is_of(release));
         let Some(release) = cached else { return Err(error) };
         let reason = with_causes(&error);
         tracing::warn!(
@@ -64,18 +73,52 @@ impl ReleaseSource {
         Ok(release)
     }
 
+    /// The release that was served last, where it is of this store, and signed if it must be. A cache of an earlier program, which names no
+    /// store, counts where no key is given.
+    fn cached(&self) -> Option<Release> {
+        let noted = self.cache.noted()?;
+        if let Some(place) = noted.place.as_deref().filter(|place| *place != self.store.place()) {
+            tracing::warn!(place, "the release in the cache is not used: it is of another store");
+            return None;
+        }
+        let signature = noted.signature.as_ref().map(String::as_bytes);
+        if let Err(reason) = self.store.verify(noted.file.as_bytes(), signature) {
+            tracing::warn!(
+                %reason,
+                "the release in the cache is not used: it is not signed with the key that was given"
+            );
+            return None;
+        }
+        noted.release()
+    }
+
     /// Notes which release is served from now on, while the former one may still need what it has. A cache that cannot be written is logged
     /// and not used.
     ///
     /// # Returns
     /// Whether it is noted.
-    pub fn note(&self, release: &Release) -> bool {
-        let noted = self.cache.note_release(release);
+    pub async fn note(&self, release: &Release) -> bool {
+        let noted = self.try_note(release).await;
         if let Err(error) = &noted {
             let reason = with_causes(error);
             tracing::warn!(reason, "the release is not kept: a restart needs the store");
         }
         noted.is_ok()
+    }
+
+    async fn try_note(&self, release: &Release) -> Result<(), ReleaseError> {
+        // Of a store that is away, the cached release is served.
+        if self.cached().as_ref() == Some(release) {
+            return Ok(());
+        }
+        let file = self.store.file_of(release).await?;
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        self.cache.note(&NotedRelease {
+            place: Some(self.store.place().to_owned()),
+            version: release.map.version,
+            file: text(&file.text),
+            signature: file.signature.as_deref().map(text),
+        })
     }
 
     /// Removes what other releases than the one that is served need. What cannot be removed is logged.
@@ -87,8 +130,8 @@ impl ReleaseSource {
     }
 
     /// [`Self::note`] and [`Self::clean`]: of a map that needs nothing of its former release any more.
-    pub fn keep(&self, release: &Release) {
-        if self.note(release) {
+    pub async fn keep(&self, release: &Release) {
+        if self.note(release).await {
             self.clean(release);
         }
     }

@@ -1,5 +1,7 @@
 //! The object store of releases.
 
+mod signed;
+
 use crate::change::ReleasedChange;
 use crate::damage::Damage;
 use crate::error::ReleaseError;
@@ -12,10 +14,9 @@ use map::file::segment::sha256;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
-use serde::Serialize;
+use signing::PublicKey as ReleaseKey;
 #[cfg(feature = "signing")]
 use signing::SecretKey as SigningKey;
-use signing::{PublicKey as ReleaseKey, SignatureError};
 use std::sync::Arc;
 use url::Url;
 
@@ -29,6 +30,7 @@ const DECISIONS: &str = "decisions";
 const SEGMENTS: &str = "segments";
 const SIGNATURES: &str = "signatures";
 const MARKS: &str = "cleaning";
+const CLOCK: &str = "clock";
 /// A signature is a few lines.
 const MAX_SIGNATURE_BYTES: u64 = 4096;
 const EXTENSION: &str = ".json";
@@ -311,44 +313,6 @@ impl ReleaseStore {
         self.put_signed(name_in(DECISIONS, decision.candidate), decision).await
     }
 
-    /// Puts a file with its signature, if its name is free; returns whether it was.
-    async fn put_signed(&self, object: String, of: &impl Serialize) -> Result<bool, ReleaseError> {
-        let mut text =
-            serde_json::to_vec_pretty(of).map_err(|error| self.damaged(object.clone(), error.into()))?;
-        text.push(b'\n');
-        #[cfg(feature = "signing")]
-        if let Some(key) = &self.signing {
-            // Before its file, so that none is ever without.
-            let signature = key.sign(&text);
-            let signature =
-                signature.map_err(|source| ReleaseError::Sign { object: object.clone(), source })?;
-            let name = signature_name(&text);
-            let put = self.put(&name, signature, PutMode::Overwrite).await;
-            put.map_err(|source| self.failed(name, "written", source))?;
-        }
-        match self.put(&object, text, PutMode::Create).await {
-            Ok(()) => Ok(true),
-            Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
-            Err(source) => Err(self.failed(object, "written", source)),
-        }
-    }
-
-    /// Reads a file whose signature is verified where there is a key; `None` where there is no such file.
-    async fn read_signed(&self, object: &str) -> Result<Option<Bytes>, ReleaseError> {
-        let Some(text) = self.read_if_there(object, MAX_RELEASE_BYTES).await? else { return Ok(None) };
-        if let Some(key) = &self.key {
-            let not_signed = |reason| ReleaseError::NotSigned {
-                place: self.place.clone(),
-                object: object.to_owned(),
-                reason,
-            };
-            let signature = self.read_if_there(&signature_name(&text), MAX_SIGNATURE_BYTES).await?;
-            let signature = signature.ok_or_else(|| not_signed(SignatureError::Missing))?;
-            key.verify(&text, &signature).map_err(not_signed)?;
-        }
-        Ok(Some(text))
-    }
-
     async fn read_if_there(&self, object: &str, at_most: u64) -> Result<Option<Bytes>, ReleaseError> {
         match self.read(object, at_most).await {
             Ok(bytes) => Ok(Some(bytes)),
@@ -368,15 +332,45 @@ impl ReleaseStore {
         Ok(objects.into_iter().filter_map(named).collect())
     }
 
-    pub(crate) async fn put_mark(&self, name: &str) -> Result<(), ReleaseError> {
-        let object = format!("{MARKS}/{name}");
+    /// What is known of a segment; `None` where it is gone.
+    pub(crate) async fn segment_found(&self, sha256: &str) -> Result<Option<ObjectMeta>, ReleaseError> {
+        self.head(&format!("{SEGMENTS}/{sha256}")).await
+    }
+
+    /// Puts a mark.
+    ///
+    /// # Returns
+    /// When that was, s since 1970.
+    pub(crate) async fn put_mark(&self, name: &str) -> Result<u64, ReleaseError> {
+        self.put_dated(format!("{MARKS}/{name}")).await
+    }
+
+    pub(crate) async fn has_mark(&self, name: &str) -> Result<bool, ReleaseError> {
+        Ok(self.head(&format!("{MARKS}/{name}")).await?.is_some())
+    }
+
+    /// The time, s since 1970, by the clock that dates what is put: that of this machine may differ.
+    ///
+    /// # Arguments
+    /// * `name`: of an object that nobody else puts; it is removed.
+    pub(crate) async fn now_s(&self, name: &str) -> Result<u64, ReleaseError> {
+        let object = format!("{CLOCK}/{name}");
+        let now_s = self.put_dated(object.clone()).await?;
+        self.remove(object).await?;
+        Ok(now_s)
+    }
+
+    /// Puts an empty object; returns when that was, s since 1970.
+    async fn put_dated(&self, object: String) -> Result<u64, ReleaseError> {
         let put = self.put(&object, Vec::new(), PutMode::Overwrite).await;
-        put.map_err(|source| self.failed(object, "written", source))
+        put.map_err(|source| self.failed(object.clone(), "written", source))?;
+        let found = self.store.head(&self.at(&object)).await;
+        let found = found.map_err(|source| self.failed(object, "read", source))?;
+        Ok(put_s(&found))
     }
 
     /// Marks of programs that remove segments, and when they were put, s since 1970.
     pub(crate) async fn marks(&self) -> Result<Vec<(String, u64)>, ReleaseError> {
-        let put_s = |object: &ObjectMeta| u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
         let named = |object: ObjectMeta| Some((object.location.filename()?.to_owned(), put_s(&object)));
         Ok(self.list(MARKS).await?.into_iter().filter_map(named).collect())
     }
@@ -427,6 +421,15 @@ impl ReleaseStore {
         found.bytes().await.map_err(failed)
     }
 
+    /// What is known of an object; `None` where there is none.
+    async fn head(&self, object: &str) -> Result<Option<ObjectMeta>, ReleaseError> {
+        match self.store.head(&self.at(object)).await {
+            Ok(found) => Ok(Some(found)),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(source) => Err(self.failed(object.to_owned(), "read", source)),
+        }
+    }
+
     async fn list(&self, folder: &str) -> Result<Vec<ObjectMeta>, ReleaseError> {
         match self.store.list(Some(&self.at(folder))).try_collect().await {
             Ok(objects) => Ok(objects),
@@ -459,6 +462,11 @@ fn name_in(folder: &str, number: u64) -> String {
 /// The number of the release or candidate whose file has a name.
 fn number_of(filename: &str) -> Option<u64> {
     filename.strip_suffix(EXTENSION)?.parse().ok().filter(|number| *number > 0)
+}
+
+/// When an object was put, s since 1970.
+pub(crate) fn put_s(object: &ObjectMeta) -> u64 {
+    u64::try_from(object.last_modified.timestamp()).unwrap_or(0)
 }
 
 /// That of the signature of a release's file.

@@ -194,6 +194,20 @@ async fn cleaning_keeps_what_may_be_promoted() {
     assert_eq!((again.releases, again.candidates), (vec![2], vec![]), "the newest number never comes again");
 }
 
+#[tokio::test]
+async fn errors_name_a_candidate_as_one() {
+    let (folder, store) = scratch();
+    put(&store, place(), Stage::Live).await;
+    let proposed = put(&store, without_the_last(1), Stage::Candidate).await;
+    let [one, two] = [1, 2].map(|number| folder.path().join(format!("candidates/{number:020}.json")));
+    std::fs::copy(one, two).unwrap();
+    let error = store.candidate(2).await.unwrap_err().to_string();
+    assert!(error.contains("it says that it is candidate 1"), "{error}");
+    let other = Release { digest: protocol::MapIdentity::from_bytes([7; 16]), ..proposed };
+    let error = fetch(&store, &other, None).await.unwrap_err().to_string();
+    assert!(error.contains("candidate 1 is damaged"), "{error}");
+}
+
 #[cfg(feature = "signing")]
 #[tokio::test]
 async fn without_the_key_no_candidate_is_made_live_and_none_is_rejected() {

@@ -320,11 +320,11 @@ async fn a_cache_serves_without_the_store_and_heals() {
     let contents = place(9);
     let first = published(&scratch.store, &contents).await.release;
     let folder = scratch.folder.path().join("cache");
-    let cache = ReleaseCache::open(&folder).unwrap();
+    let source = ReleaseSource::open(scratch.store.clone(), &folder).unwrap();
+    let cache = source.cache.clone();
     assert!(cache.release().is_none());
     fetch(&scratch.store, &first, Some(&cache)).await.unwrap();
-    cache.note_release(&first).unwrap();
-    cache.remove_others(&first).unwrap();
+    source.keep(&first).await;
 
     let away = |is_away: bool| {
         let (here, there) = (scratch.folder.path().join("city"), scratch.folder.path().join("away"));
@@ -333,6 +333,7 @@ async fn a_cache_serves_without_the_store_and_heals() {
     };
     away(true);
     assert_eq!(cache.release().unwrap(), first);
+    assert!(source.note(&first).await, "it is noted already");
     assert_eq!(fetch(&scratch.store, &first, Some(&cache)).await.unwrap(), contents);
     let damaged = folder.join("segments").join(&first.cells[0].segment.sha256);
     std::fs::write(&damaged, b"something else").unwrap();
@@ -344,8 +345,7 @@ async fn a_cache_serves_without_the_store_and_heals() {
     // The next release leaves nothing of the former one behind.
     let second = published(&scratch.store, &without_the_last(&contents)).await.release;
     fetch(&scratch.store, &second, Some(&cache)).await.unwrap();
-    cache.note_release(&second).unwrap();
-    cache.remove_others(&second).unwrap();
+    source.keep(&second).await;
     assert_eq!(std::fs::read_dir(folder.join("segments")).unwrap().count(), second.cells.len());
     std::fs::write(folder.join("release.json"), "{}").unwrap();
     assert!(cache.release().is_none());
@@ -437,7 +437,7 @@ async fn a_cached_release_is_served_where_it_is_the_one_that_was_chosen() {
     let release = published(&scratch.store, &place(1)).await.release;
     let cache = scratch.folder.path().join("cache");
     let source = ReleaseSource::open(scratch.store.clone(), &cache).unwrap();
-    source.keep(&release);
+    source.keep(&release).await;
     let missing = source.clone().following(ReleaseChoice::Number(9)).newest_or_cached().await;
     assert!(matches!(missing, Err(ReleaseError::NoRelease { .. })), "{missing:?}");
     // The store is away: its folder is a file now.
@@ -454,4 +454,60 @@ async fn a_cached_release_is_served_where_it_is_the_one_that_was_chosen() {
         let served = source.clone().following(choice).newest_or_cached().await;
         assert_eq!(served.is_ok(), is_served, "{choice}: {served:?}");
     }
+}
+
+/// What was noted without a key, or of another store, is served only where nothing has to be signed, and by that store.
+#[cfg(feature = "signing")]
+#[tokio::test]
+async fn a_cached_release_is_of_the_store_and_signed_where_it_must_be() {
+    let scratch = Scratch::new();
+    let secret = scratch.folder.path().join("city.key");
+    let public = SigningKey::generate(&secret).unwrap();
+    let key: ReleaseKey = public.to_str().unwrap().parse().unwrap();
+    let signing = scratch.store.clone().signing_with(SigningKey::read(&secret, None).unwrap());
+    let contents = place(1);
+    let release = published(&signing, &contents).await.release;
+    let cache = scratch.folder.path().join("cache");
+    let open = |store: ReleaseStore| ReleaseSource::open(store, &cache).unwrap();
+    let (plain, verifying) = (open(scratch.store.clone()), open(scratch.store.clone().signed_with(key)));
+
+    // A newer one without a signature does not bring the cached one back.
+    verifying.keep(&release).await;
+    published(&scratch.store, &without_the_last(&contents)).await;
+    let refused = verifying.newest_or_cached().await;
+    assert!(matches!(refused, Err(ReleaseError::NotSigned { .. })), "{refused:?}");
+
+    // The store is away.
+    let city = scratch.folder.path().join("city");
+    let away = |is_away: bool| {
+        let there = scratch.folder.path().join("away");
+        if is_away {
+            std::fs::rename(&city, &there).unwrap();
+            std::fs::write(&city, "").unwrap();
+        } else {
+            std::fs::remove_file(&city).unwrap();
+            std::fs::rename(&there, &city).unwrap();
+        }
+    };
+    away(true);
+    assert_eq!(verifying.newest_or_cached().await.unwrap(), release);
+    let noted = std::fs::read_to_string(cache.join("release.json")).unwrap();
+    let changed = noted.replace("\\\"sigma_px\\\": 1.0", "\\\"sigma_px\\\": 2.0");
+    assert_ne!(changed, noted);
+    std::fs::write(cache.join("release.json"), changed).unwrap();
+    assert!(verifying.newest_or_cached().await.is_err(), "its file was changed");
+    assert!(plain.newest_or_cached().await.is_ok());
+    away(false);
+    plain.keep(&release).await;
+    away(true);
+    assert!(plain.newest_or_cached().await.is_ok());
+    assert!(verifying.newest_or_cached().await.is_err(), "it was noted without its signature");
+    let elsewhere = ReleaseStore::open(city.join("elsewhere").to_str().unwrap()).unwrap();
+    assert!(open(elsewhere).newest_or_cached().await.is_err());
+
+    // A cache of an earlier program has the release alone.
+    let text = serde_json::to_vec_pretty(&release).unwrap();
+    std::fs::write(cache.join("release.json"), text).unwrap();
+    assert_eq!(plain.newest_or_cached().await.unwrap().digest, release.digest);
+    assert!(verifying.newest_or_cached().await.is_err(), "it has no signature");
 }

@@ -3,6 +3,8 @@ import { Timeline, indexAt } from "./timeline.js";
 
 // A robot without a sample for so many steps was not there.
 const MISSED_STEPS = 10;
+// A clock that moved by more than this was set.
+const SET_S = 60;
 
 const pad = (number) => `${number}`.padStart(2, "0");
 
@@ -52,6 +54,12 @@ function track({ samples, changes }) {
   };
 }
 
+// The state of a robot at a time: that of its last sample, unless it changed since.
+export function stateAt(point, change) {
+  if (point && !(change?.t > point.t)) return point.state;
+  return change?.state ?? "nothing";
+}
+
 export class History {
   // `load()`: the answer of /api/history; `robotNames()`, `robotOf(name)`: the robots of the page; `onShown(t)`: a time is shown, null for the
   // present; `onSettle(t)`: one was chosen; `onError(error)`: it could not be loaded.
@@ -60,6 +68,7 @@ export class History {
     this.isLive = true;
     this.tracks = null;
     this.loading = null;
+    this.loads = 0;
     this.offset = null;
     this.since = null;
     this.timeline = new Timeline({
@@ -91,10 +100,12 @@ export class History {
     return `${dateText(t)}, ${Math.floor(ago / 60)}:${pad(ago % 60)} min ago${step}`;
   }
 
-  // The time of a message.
+  // The time of a message; returns whether the server's clock was set since the one before.
   note(update) {
+    const before = this.offset;
     this.offset = update.time_ms / 1000 - performance.now() / 1000;
     this.since = update.history_since_ms && update.history_since_ms / 1000;
+    return before !== null && Math.abs(this.offset - before) > SET_S;
   }
 
   onInput(t, isEnd) {
@@ -128,7 +139,11 @@ export class History {
   }
 
   async reload() {
+    this.loads += 1;
+    const number = this.loads;
     const answer = await this.load();
+    // The present is shown again, or the history of another map was asked for.
+    if (this.isLive || number !== this.loads) return;
     this.tracks = new Map(answer.robots.map((robot) => [robot.robot, track(robot)]));
     // Others have done nothing yet.
     for (const name of this.robotNames()) {
@@ -144,7 +159,12 @@ export class History {
   async refresh() {
     if (this.isLive) return;
     await this.reload();
-    this.timeline.seek(this.timeline.now);
+    if (!this.isLive) this.timeline.seek(this.timeline.now);
+  }
+
+  // The tracks are of another map.
+  forget() {
+    for (const track of this.tracks?.values() ?? []) Object.assign(track, { points: [], trail: [] });
   }
 
   show(t) {
@@ -152,10 +172,12 @@ export class History {
     for (const [name, { points, changes }] of this.tracks) {
       const robot = this.robotOf(name);
       const point = points[indexAt(points, t)];
-      const isThere = point && t - point.t <= MISSED_STEPS * Math.max(this.step, 1);
-      robot.setPast(isThere ? point.pose : null, point?.trail ?? 0);
       const change = changes[indexAt(changes, t)];
-      robot.past = pastOf(name, isThere ? point : null, change, t);
+      const isRecent = point && t - point.t <= MISSED_STEPS * Math.max(this.step, 1);
+      const state = stateAt(isRecent ? point : null, change);
+      const isThere = isRecent && state !== "off" && state !== "silent";
+      robot.setPast(isThere ? point.pose : null, point?.trail ?? 0);
+      robot.past = pastOf(name, isThere ? point : null, state, change, t);
     }
     this.onShown(t);
   }
@@ -184,8 +206,7 @@ export class History {
 }
 
 // A robot of the past, in the form in which it is published.
-function pastOf(name, point, change, t) {
-  const state = point?.state ?? change?.state ?? "nothing";
+function pastOf(name, point, state, change, t) {
   const isStated = !["off", "silent", "unknown", "nothing"].includes(state);
   return {
     robot: name,

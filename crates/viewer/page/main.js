@@ -87,19 +87,39 @@ async function loadMaps() {
   return list;
 }
 
+// The map that was chosen last, which may still be loading, and how many were.
+let wanted = null;
+let loads = 0;
+
+// Shows a map, unless another one is chosen before it is loaded.
 async function showMap(name, isNew = true) {
   const map = maps.find((one) => one.name === name) ?? maps[0];
   if (!map) return;
+  loads += 1;
+  const number = loads;
+  wanted = map.name;
   byId("map").value = map.name;
   const path = `api/maps/${encodeURIComponent(map.name)}`;
-  const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), load(`${path}/landmarks?limit=${LANDMARKS}`)]);
+  let loaded;
+  try {
+    loaded = await Promise.all([json(`${path}/keyframes`), load(`${path}/landmarks?limit=${LANDMARKS}`)]);
+  } catch (error) {
+    if (number !== loads) return;
+    wanted = shown?.name ?? wanted;
+    byId("map").value = wanted;
+    throw error;
+  }
+  if (number !== loads) return;
+  const [{ keyframes }, response] = loaded;
   const landmarks = new Float32Array(response);
   const up = (map.gravity_in_global ?? [0, 0, -1]).map((value) => -value);
-  shown = { name: map.name, version: map.version, revision: map.revision, changes: shown?.name === map.name ? shown.changes : undefined };
+  const isOther = shown?.name !== map.name;
+  shown = { name: map.name, version: map.version, revision: map.revision, changes: isOther ? undefined : shown.changes };
   scene.setUp(up);
   mapLayer.set(keyframes, landmarks, up);
   scene.setPoints(keyframes.map((keyframe) => keyframe.position));
   if (isNew) scene.fit();
+  if (isOther && past) leaveMap();
   const drawn = landmarks.length / 3;
   const cells = map.cells ? `, ${map.cells.here} of ${map.cells.all} cells` : "";
   byId("summary").textContent =
@@ -108,6 +128,15 @@ async function showMap(name, isNew = true) {
   window.driftless.map = shown;
   Object.assign(window.driftless.counts, { keyframes: keyframes.length, landmarks: drawn });
   await showChanges();
+}
+
+// Trails and odometry that were drawn are in the frame of the former map.
+function leaveMap() {
+  past.forget();
+  for (const robot of robots.values()) {
+    robot.leaveMap();
+    if (past.isLive && robot.published) showPublished(robot, true);
+  }
 }
 
 // What changed since the release before, and what an open candidate would change.
@@ -142,9 +171,16 @@ function robotOf(name) {
   return robot;
 }
 
+// The process of the server that the page was told by.
+let instance = null;
+
 function onUpdate(update) {
   isChanged ||= update.robots.length > 0;
-  past.note(update);
+  // What the page knows of queries is of another process, or of another time.
+  const isRestarted = update.is_snapshot && instance !== null && update.instance !== instance;
+  if (update.is_snapshot) instance = update.instance;
+  const isClockSet = past.note(update);
+  if (isRestarted || isClockSet) queries.restart();
   for (const published of update.robots) {
     const robot = robotOf(published.robot);
     const { published: before } = robot;
@@ -155,7 +191,13 @@ function onUpdate(update) {
   }
   if (update.run) offerSwitch();
   const [version, revision] = [update.maps?.[shown?.name], update.revisions?.[shown?.name]];
-  if (revision !== undefined && revision !== shown.revision) reload(version);
+  if (isRestarted) {
+    // Both begin anew, and may be those of the former process.
+    if (shown) Object.assign(shown, { revision: null, changes: undefined });
+    reload("The map server was started again.");
+  } else if (revision !== undefined && revision !== shown.revision) {
+    reload(version === shown.version ? "Other cells of the map are here." : `The map changed to version ${version}.`);
+  }
   const known = update.changes?.[shown?.name];
   if (known !== undefined && known !== shown.changes) {
     shown.changes = known;
@@ -210,14 +252,33 @@ function readTimeOfLink() {
   if (Number.isFinite(t)) past.seek(t);
 }
 
-async function reload(version) {
-  const isNew = version !== shown.version;
-  notice(isNew ? `The map changed to version ${version}.` : "Other cells of the map are here.");
-  await loadMaps();
-  await showMap(shown.name, mapLayer.keyframes.size === 0);
-  past?.refresh();
-  offerImages();
-  setTimeout(() => notice(""), 8000);
+// Loads the map again that is shown, or was chosen since.
+async function reload(text) {
+  notice(text);
+  try {
+    await loadMaps();
+    await showMap(wanted ?? link().get("map"), wanted !== shown?.name || mapLayer.keyframes.size === 0);
+    await past?.refresh();
+    await offerImages();
+  } catch (error) {
+    notice(`The map cannot be shown: ${error.message}`);
+    return;
+  }
+  setTimeout(() => byId("notice").textContent === text && notice(""), 8000);
+}
+
+// Shows a map that somebody chose.
+async function chooseMap(name) {
+  notice("");
+  try {
+    await showMap(name);
+    if (wanted !== name) return;
+    setLink("map", name);
+    await past?.refresh();
+    if (imageQuery) await offerImages();
+  } catch (error) {
+    notice(`The map ${name} cannot be shown: ${error.message}`);
+  }
 }
 
 function notice(text) {
@@ -329,13 +390,7 @@ function bind() {
     box.addEventListener("change", apply);
     apply();
   }
-  byId("map").addEventListener("change", (event) => {
-    setLink("map", event.target.value);
-    showMap(event.target.value).then(() => {
-      past?.refresh();
-      if (imageQuery) offerImages();
-    });
-  });
+  byId("map").addEventListener("change", (event) => chooseMap(event.target.value));
   byId("switch").addEventListener("click", switchView);
   pickKeyframes(scene, byId("scene"), () => (visible.keyframes ? mapLayer.keyframes.values() : []), showKeyframe);
   window.addEventListener("keydown", onKey);

@@ -159,6 +159,14 @@ export class Robot {
     this.odometry.set([]);
   }
 
+  // What was drawn is in the frame of another map.
+  leaveMap() {
+    this.position = null;
+    this.trail.set([]);
+    this.restartOdometry();
+    this.raysUntil = 0;
+  }
+
   // The odometry in the map's frame, by the first transform that was known: what the map has corrected since, it lacks.
   setOdometry(position, globalFromLocal) {
     if (!this.localAnchor && globalFromLocal) {

@@ -7,7 +7,7 @@ use crate::history::MAX_ANSWER_SAMPLES;
 use crate::keyframe_images;
 use crate::live;
 use crate::parameters::{number, parameter};
-use crate::queries::{KeptQuery, MAX_QUERIES};
+use crate::queries::{DatedQuery, MAX_QUERIES};
 use crate::server::Viewer;
 use crate::statistics::STATISTICS_PERIOD;
 use crate::upload;
@@ -165,7 +165,8 @@ async fn queries(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -
     let limit = limit.map_or(DEFAULT_QUERIES, |limit| limit.min(MAX_QUERIES as u64) as usize);
     let robot = parameter(&query, "robot");
     let newest = viewer.live.newest_queries(robot.as_deref(), after.unwrap_or(0), limit);
-    let queries: Vec<_> = newest.iter().map(AsRef::as_ref).collect();
+    let started_ms = viewer.live.started_ms();
+    let queries: Vec<_> = newest.iter().map(|query| query.since_1970(started_ms)).collect();
     let answer = || Queries { now_ms: viewer.live.now_ms(), queries: &queries };
     large(&viewer, QUERY_BYTES * queries.len(), answer).await
 }
@@ -174,7 +175,7 @@ async fn queries(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -
 #[derive(Serialize)]
 struct Queries<'a> {
     now_ms: u64,
-    queries: &'a [&'a KeptQuery],
+    queries: &'a [DatedQuery<'a>],
 }
 
 async fn history(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -> Response {

@@ -52,6 +52,11 @@ impl<T> FairLog<T> {
         }
     }
 
+    /// Removes the entries of an owner.
+    pub(crate) fn remove(&mut self, owner: &str) {
+        self.length -= self.owners.remove(owner).map_or(0, |entries| entries.len());
+    }
+
     /// The entries of an owner with their numbers, in the order in which they came.
     pub(crate) fn of(&self, owner: &str) -> impl Iterator<Item = &(u64, T)> + use<'_, T> {
         self.owners.get(owner).into_iter().flatten()
@@ -80,6 +85,9 @@ mod tests {
         let of = |owner| log.of(owner).map(|(_, entry)| *entry).collect::<Vec<_>>();
         assert_eq!(of("quiet"), [0, 1, 2]);
         assert_eq!(of("loud"), (9_993..10_000).collect::<Vec<_>>());
+        log.remove("loud");
+        (0..7).for_each(|at| log.add("other", at));
+        assert_eq!(log.all().count(), 10, "its places are free");
     }
 
     #[test]

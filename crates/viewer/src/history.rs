@@ -1,6 +1,7 @@
 //! The last hour: poses of robots once a second, what their state was, and how their queries ended.
 //!
-//! Robots are looked at once a second, so that what is kept depends neither on how often they publish nor on how much.
+//! Robots are looked at once a second, so that what is kept depends neither on how often they publish nor on how much. Times are
+//! milliseconds since the start of the server, until they are answered.
 
 use crate::fair_log::FairLog;
 use protocol::RobotState;
@@ -131,6 +132,12 @@ impl History {
         self.changes.add(robot, Change { t_ms, state, reason });
     }
 
+    /// Removes what it has of a robot.
+    pub(crate) fn remove(&mut self, number: u16, robot: &str) {
+        self.samples.retain(|sample| sample.observed.robot != number);
+        self.changes.remove(robot);
+    }
+
     /// When it begins; `None` while there is nothing.
     pub(crate) fn since_ms(&self) -> Option<u64> {
         self.samples.front().map(|sample| sample.t_ms)
@@ -180,11 +187,27 @@ impl History {
 /// A span of the history.
 #[derive(Debug, Serialize)]
 pub(crate) struct HistoryAnswer {
-    /// When the whole history begins, milliseconds since 1970.
+    /// When the whole history begins, milliseconds.
     since_ms: Option<u64>,
     /// Time between two samples of a robot.
     step_ms: u64,
     robots: Vec<RobotHistory>,
+}
+
+impl HistoryAnswer {
+    /// The same with times since 1970.
+    ///
+    /// # Arguments
+    /// * `started_ms`: the start of the server.
+    #[must_use]
+    pub(crate) fn since_1970(mut self, started_ms: u64) -> Self {
+        self.since_ms = self.since_ms.map(|t_ms| t_ms + started_ms);
+        for robot in &mut self.robots {
+            robot.samples.iter_mut().for_each(|sample| sample.t_ms += started_ms);
+            robot.changes.iter_mut().for_each(|change| change.t_ms += started_ms);
+        }
+        self
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -265,6 +288,21 @@ mod tests {
         let answer = history.between(0, u64::MAX, &names, None, usize::MAX);
         let sent: usize = answer.robots.iter().map(|robot| robot.samples.len()).sum();
         assert!(sent <= MAX_ANSWER_SAMPLES + names.len(), "{sent}");
+    }
+
+    #[test]
+    fn of_a_robot_that_is_removed_nothing_is_left_and_times_are_told_since_1970() {
+        let mut history = History::default();
+        for robot in 0..2 {
+            history.add(1000, observed(robot, 0.0));
+            history.note_change(1000, &format!("r{robot}"), ShownState::Localized, "");
+        }
+        history.remove(0, "r0");
+        let names = ["new".to_owned(), "r1".to_owned()];
+        let answer = history.between(0, u64::MAX, &names, None, 100).since_1970(50_000);
+        assert_eq!((answer.since_ms, answer.robots.len()), (Some(51_000), 1));
+        let left = &answer.robots[0];
+        assert_eq!((left.robot.as_str(), left.samples[0].t_ms, left.changes[0].t_ms), ("r1", 51_000, 51_000));
     }
 
     #[test]

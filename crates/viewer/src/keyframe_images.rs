@@ -64,8 +64,13 @@ pub(crate) async fn image(
     let Ok(turn) = Arc::clone(&viewer.disk_turn).acquire_owned().await else {
         return error(StatusCode::SERVICE_UNAVAILABLE, "the server stops");
     };
-    let reading = tokio::task::spawn_blocking(move || images.jpeg(keyframe)).await;
-    drop(turn);
+    let read = move || {
+        let found = images.jpeg(keyframe);
+        // The next one may be read, also where nobody waits for this answer any more.
+        drop(turn);
+        found
+    };
+    let reading = tokio::task::spawn_blocking(read).await;
     match reading.map_err(|error| error.to_string()).flatten() {
         Ok(Some(jpeg)) => match viewer.outbox.reserve(jpeg.len()).await.and_then(|room| room.hold(jpeg)) {
             Some(bytes) => ([(header::CONTENT_TYPE, "image/jpeg")], bytes).into_response(),
@@ -76,5 +81,53 @@ pub(crate) async fn image(
         },
         Ok(None) => error(StatusCode::NOT_FOUND, "no image of this keyframe is kept"),
         Err(what) => error(StatusCode::INTERNAL_SERVER_ERROR, &what),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::viewed_map::ViewedMap;
+    use map::{MapContents, MapMetadata};
+    use protocol::DescriptorKind;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::time::Duration;
+
+    /// A disk that counts how many images are read at the same time.
+    #[derive(Default)]
+    struct Slow {
+        reading: AtomicUsize,
+        most: AtomicUsize,
+    }
+
+    impl KeyframeImages for Slow {
+        fn count(&self) -> usize {
+            1
+        }
+
+        fn jpeg(&self, _: KeyframeId) -> Result<Option<Vec<u8>>, String> {
+            let reading = self.reading.fetch_add(1, Ordering::SeqCst) + 1;
+            self.most.fetch_max(reading, Ordering::SeqCst);
+            std::thread::sleep(Duration::from_millis(50));
+            self.reading.fetch_sub(1, Ordering::SeqCst);
+            Ok(Some(vec![0xff]))
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn images_are_read_one_at_a_time_also_where_readers_leave() {
+        let viewer = Viewer::new();
+        let contents = MapContents::empty(MapMetadata::new("hall", "test", DescriptorKind::Binary, 32));
+        viewer.set_map(ViewedMap::of_contents("hall", &contents));
+        let disk = Arc::new(Slow::default());
+        viewer.set_keyframe_images("hall", disk.clone());
+        let ask = || image(State(Arc::clone(&viewer)), Path(("hall".to_owned(), "1".to_owned())));
+        let leaving = tokio::spawn(ask());
+        while disk.reading.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        leaving.abort();
+        assert_eq!(ask().await.status(), StatusCode::OK);
+        assert_eq!(disk.most.load(Ordering::SeqCst), 1);
     }
 }

@@ -146,14 +146,34 @@ pub enum CandidateVerdict {
 pub(crate) struct KeptQuery {
     /// Grows with each query.
     number: u64,
-    /// When its last reply was sent, milliseconds since 1970.
-    time_ms: u64,
+    /// When its last reply was sent, milliseconds since the start of the server.
+    #[serde(skip)]
+    steady_ms: u64,
     /// Who asked, where it is a followed robot.
     robot: Option<String>,
     /// Who asked, by the id of its session.
     client: String,
     #[serde(flatten)]
     query: ViewedQuery,
+}
+
+impl KeptQuery {
+    /// The query with its time since 1970.
+    ///
+    /// # Arguments
+    /// * `started_ms`: the start of the server.
+    pub(crate) fn since_1970(&self, started_ms: u64) -> DatedQuery<'_> {
+        DatedQuery { time_ms: self.steady_ms + started_ms, query: self }
+    }
+}
+
+/// A query as it is answered.
+#[derive(Debug, Serialize)]
+pub(crate) struct DatedQuery<'a> {
+    /// When its last reply was sent, milliseconds since 1970.
+    time_ms: u64,
+    #[serde(flatten)]
+    query: &'a KeptQuery,
 }
 
 /// The last queries.
@@ -168,9 +188,12 @@ impl Default for QueryLog {
 
 impl QueryLog {
     /// Keeps a query.
+    ///
+    /// # Arguments
+    /// * `steady_ms`: when its last reply was sent, milliseconds since the start of the server.
     pub(crate) fn add(
         &mut self,
-        time_ms: u64,
+        steady_ms: u64,
         robot: Option<&str>,
         client: &str,
         mut query: ViewedQuery,
@@ -188,7 +211,7 @@ impl QueryLog {
         let number = self.0.next_number();
         let owner = robot.unwrap_or(&client).to_owned();
         let robot = robot.map(str::to_owned);
-        let kept = Arc::new(KeptQuery { number, time_ms, robot, client, query });
+        let kept = Arc::new(KeptQuery { number, steady_ms, robot, client, query });
         self.0.add(&owner, Arc::clone(&kept));
         kept
     }

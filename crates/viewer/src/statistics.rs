@@ -26,7 +26,7 @@ pub struct ServerSample {
     pub p99_ms: Option<f64>,
 }
 
-/// A sample and when its period ended, milliseconds since 1970.
+/// A sample and when its period ended, milliseconds.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct TimedSample {
     t_ms: u64,
@@ -46,7 +46,12 @@ impl StatisticsLog {
         self.0.push_back(TimedSample { t_ms, sample });
     }
 
-    pub(crate) fn all(&self) -> Vec<TimedSample> {
-        self.0.iter().copied().collect()
+    /// All of them, with times since 1970.
+    ///
+    /// # Arguments
+    /// * `started_ms`: the start of the server.
+    pub(crate) fn since_1970(&self, started_ms: u64) -> Vec<TimedSample> {
+        let dated = |of: &TimedSample| TimedSample { t_ms: of.t_ms + started_ms, ..*of };
+        self.0.iter().map(dated).collect()
     }
 }

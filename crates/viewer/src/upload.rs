@@ -47,7 +47,7 @@ pub(crate) async fn localize(
     mut body: Body,
 ) -> Response {
     match accept(&viewer, &name, query.as_deref().unwrap_or_default(), &mut body).await {
-        Ok(kept) => Json(kept.as_ref()).into_response(),
+        Ok(kept) => Json(kept.since_1970(viewer.live.started_ms())).into_response(),
         Err(Refusal(status, what)) => {
             let _ = timeout(UPLOAD, read(&mut body, MAX_DISCARDED_BYTES, |_| ())).await;
             error(status, &what)

@@ -314,6 +314,12 @@ async fn a_stored_map_has_no_present_and_names_decide_colours_and_keys() {
                  const robot = { heard_age_s: 0.1, status: { state: 'localized', age_s: 9 } }; \
                  return stateText(stateOf(robot, 0, true), robot, 0); })";
     assert_eq!(browser.evaluate(stuck).await, "△ silent, no status for 9 s");
+    // In the past: the last sample, unless the state changed since.
+    let past = "import('./history.js').then(({ stateAt }) => { \
+                const point = { t: 5, state: 'localized' }; \
+                const changes = [null, { t: 5, state: 'lost' }, { t: 6, state: 'silent' }]; \
+                return [...changes.map((change) => stateAt(point, change)), ...changes.map((change) => stateAt(null, change))].join(); })";
+    assert_eq!(browser.evaluate(past).await, "localized,localized,silent,nothing,lost,silent");
     check_well_behaved(&browser, server.address());
     server.stop().await;
 }

@@ -53,6 +53,7 @@ async fn a_viewer_sees_what_robots_publish_and_what_they_were_answered() {
     let mut early = connect(&shown).await;
     let snapshot = first(&mut early, |_| true).await;
     assert_eq!((&snapshot["is_snapshot"], snapshot["robots"].as_array().unwrap().len()), (&true.into(), 0));
+    assert!(snapshot["instance"].is_string(), "{snapshot}");
 
     let position = shown.publish_robot("r7", 12.0, RobotState::Localized).await;
     let update = first(&mut early, |update| update["robots"][0]["status"]["state"] == "localized").await;

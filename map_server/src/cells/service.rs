@@ -211,7 +211,9 @@ struct Running {
 
 impl Running {
     async fn run(mut self) {
-        if self.note(&self.release).await {
+        let is_noted = self.source.note(&self.release).await;
+        self.note_served(&self.release).await;
+        if is_noted {
             self.source.clean(&self.release);
         }
         let mut watch = tokio::time::interval(self.options.watch);
@@ -230,19 +232,14 @@ impl Running {
         }
     }
 
-    /// Notes which release is served from now on.
-    ///
-    /// # Returns
-    /// Whether the cache has it.
-    async fn note(&self, release: &Release) -> bool {
-        let is_noted = self.source.note(release);
+    /// Notes in the state of the server which release is served from now on.
+    async fn note_served(&self, release: &Release) {
         let served = MapVersion {
             identity: release.identity(),
             version: release.map.version,
             digest: Some(release.digest),
         };
         note_served(self.state.as_ref(), &self.name, served).await;
-        is_noted
     }
 
     /// Waits until no server has come or gone for a while.
@@ -363,10 +360,12 @@ impl Running {
         for cell in self.wanted(&release) {
             cells.insert(cell, StoredCell::prepare(self.origin(&release, cell), &self.memory).await?);
         }
+        // It reads the store: before the servers change over together.
+        let is_noted = self.source.note(&release).await;
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;
         let change = change.unwrap_or_default();
-        let is_noted = self.note(&release).await;
+        self.note_served(&release).await;
         let new_cells = self.map.change_over(directory, cells, token);
         tracing::info!(
             name = self.name,

@@ -165,6 +165,11 @@ impl ViewedRobot {
         was_online && !self.is_online
     }
 
+    /// How long ago it gave its last sign of life, seconds; `None` while it is there.
+    pub(super) fn offline_age_s(&self, now: Instant) -> Option<f64> {
+        (!self.is_online).then(|| self.presence.heard_age_s(now))
+    }
+
     pub(super) fn note(&mut self, published: Published) {
         let now = Instant::now();
         self.presence.note_published(&published, now);
