@@ -1,4 +1,4 @@
-"""Brings the topics of `onboard --ros2` and `driftless ros2-map` to ROS 2 of any distribution and middleware: Humble, DDS.
+"""Brings the topics that `onboard --ros2` and `driftless ros2-map` publish to ROS 2 of any distribution and middleware: Humble, DDS.
 
 Needs a sourced ROS 2 and `pip install eclipse-zenoh`. It takes the place of `rmw_zenohd`:
 

@@ -176,11 +176,14 @@ impl Input {
 
 impl RosInput {
     fn open(arguments: &Arguments, stop: &StopSignal, runtime: &NetworkRuntime) -> Result<Self> {
-        let topics = RosTopics::of(&arguments.calibration, &arguments.robot.wheels, &arguments.robot.gnss)?;
+        let mut topics = RosTopics::of(&arguments.calibration)?;
         let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
         // Faults of the files are reported before the session is opened.
-        let from_files =
+        let mut from_files =
             has_intrinsics.then(|| live_settings(arguments, &[], &topics.cameras)).transpose()?;
+        if let Some((calibration, _)) = &mut from_files {
+            topics.add_wheels_and_gnss(&arguments.robot, calibration)?;
+        }
         let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
             bail!("interrupted before {} answered", arguments.ros.ros2_connect)
         };
@@ -298,12 +301,14 @@ fn play_ros2(
     arguments: &Arguments,
     runtime: &NetworkRuntime,
 ) -> Result<Outcome> {
-    let RosInput { topics, session, from_files } = input;
+    let RosInput { mut topics, session, from_files } = input;
     let (calibration, mut settings) = if let Some(settings) = from_files {
         settings
     } else {
         let cameras = wait_for_cameras(session.clone(), arguments.ros.sensor_node(), &topics.cameras, stop);
-        live_settings(arguments, &runtime.block_on(cameras)?, &topics.cameras)?
+        let mut read = live_settings(arguments, &runtime.block_on(cameras)?, &topics.cameras)?;
+        topics.add_wheels_and_gnss(&arguments.robot, &mut read.0)?;
+        read
     };
     topics.adapt(&mut settings)?;
     let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration, &settings);

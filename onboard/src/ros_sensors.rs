@@ -1,6 +1,6 @@
 //! Sensors that are ROS 2 topics.
 
-use crate::arguments::{CalibrationArguments, GnssArguments, WheelArguments};
+use crate::arguments::{CalibrationArguments, GnssArguments, RobotArguments};
 use crate::ros_wheels::{RosJoints, RosWheels};
 use crate::topic_watch::TopicWatch;
 use anyhow::bail;
@@ -10,7 +10,7 @@ use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState, NavSatF
 use ros2::{Node, NodeOptions, Qos, Received, Reliability, RosError, Subscriber};
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
 use sensors::ros::{JointReader, MovesSideways, NotMeasured, base_velocity, imu_sample, satellite_position};
-use sensors::{GnssIntake, GnssProblem, GnssSensor, SplitImu};
+use sensors::{GnssIntake, GnssProblem, GnssSensor, SensorCalibration, SplitImu};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::JoinHandle;
@@ -56,26 +56,22 @@ pub struct RosGnss {
 }
 
 impl RosGnss {
-    /// The topic that the switches name.
+    /// The topic that the switches name; what they leave out is as in the calibration.
     ///
     /// # Errors
     /// An origin that is no place on the earth.
-    fn of(arguments: &GnssArguments) -> anyhow::Result<Option<Self>> {
+    fn of(arguments: &GnssArguments, calibrated: Option<GnssSensor>) -> anyhow::Result<Option<Self>> {
         let Some(topic) = arguments.gnss_topic.clone() else { return Ok(None) };
-        Ok(Some(Self { topic, sensor: arguments.live_sensor(None)? }))
+        Ok(Some(Self { topic, sensor: arguments.live_sensor(calibrated)? }))
     }
 }
 
 impl RosTopics {
-    /// The topics that the switches name.
+    /// The topics of IMU and cameras that the switches name.
     ///
     /// # Errors
     /// A topic is missing.
-    pub fn of(
-        arguments: &CalibrationArguments,
-        wheels: &WheelArguments,
-        gnss: &GnssArguments,
-    ) -> anyhow::Result<Self> {
+    pub fn of(arguments: &CalibrationArguments) -> anyhow::Result<Self> {
         let (Some(imu), cameras) = (arguments.imu_topic.clone(), arguments.camera_topic.clone()) else {
             bail!("--imu-topic is missing: name the topic of sensor_msgs/Imu, for example /imu")
         };
@@ -84,8 +80,25 @@ impl RosTopics {
         }
         let accelerometer =
             arguments.accelerometer_topic.clone().filter(|accelerometer| *accelerometer != imu);
-        let (wheels, gnss) = (RosWheels::of(wheels)?, RosGnss::of(gnss)?);
-        Ok(Self { imu, accelerometer, cameras, wheels, gnss })
+        Ok(Self { imu, accelerometer, cameras, wheels: None, gnss: None })
+    }
+
+    /// Adds the topics of wheels and GNSS that the switches name; what these leave out is as in the calibration, whose wheels become
+    /// those of the readings.
+    ///
+    /// # Errors
+    /// Joints, encoders or an origin that cannot be used.
+    pub fn add_wheels_and_gnss(
+        &mut self,
+        arguments: &RobotArguments,
+        calibration: &mut SensorCalibration,
+    ) -> anyhow::Result<()> {
+        self.wheels = RosWheels::of(&arguments.wheels, calibration.wheels.as_ref())?;
+        self.gnss = RosGnss::of(&arguments.gnss, calibration.gnss)?;
+        if let (Some(topic), Some(wheels)) = (&self.wheels, &mut calibration.wheels) {
+            *wheels = topic.sensor(wheels);
+        }
+        Ok(())
     }
 
     /// Adapts the settings of the source to these topics: fewer topics are fewer cameras.

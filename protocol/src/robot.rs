@@ -33,7 +33,9 @@ impl Validate for RobotPose {
     }
 }
 
-/// Pose of a robot in its odometry frame: continuous, drifting, available without a map.
+/// Pose of a robot in the estimator's odometry frame L, which drifts; available without a map.
+///
+/// It jumps where the map or GNSS corrects it, and L is another frame after a divergence. Continuous is the topic `odometry` of ROS 2.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotOdometry {
     /// Sensor time, nanoseconds.

@@ -210,7 +210,10 @@ class RobotPose:
 
 @dataclass(frozen=True, eq=False)
 class RobotOdometry:
-    """The odometry of a robot, in a frame L that drifts slowly and never jumps."""
+    """The odometry of a robot in the estimator's frame L, which drifts slowly.
+
+    The pose jumps where the map or GNSS corrects it, and L is another frame after a divergence. Continuous is the topic `odometry` of ROS 2.
+    """
 
     stamp_ns: int
     local_from_imu: Pose

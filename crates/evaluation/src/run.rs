@@ -28,7 +28,8 @@ pub struct ScoreOptions {
     /// Time after the map initialization from which on the transform and the pose in G are scored, seconds.
     pub skip_after_initialization_s: f64,
     /// Direction of gravity in a map whose frame is its own, since it was built without reference poses: the truth is aligned
-    /// with the poses in the map, in yaw and position, before they are compared. `None`: both are in one frame.
+    /// with the poses in the map, in yaw and position, before they are compared, and of these there is no NEES. `None`: both
+    /// are in one frame.
     pub gravity_in_own_frame: Option<Vector3<f64>>,
 }
 
@@ -60,7 +61,8 @@ pub struct Score {
     pub max_deg: f64,
     /// Largest position error, metres.
     pub max_m: f64,
-    /// Mean NEES per degree of freedom of the rotation; `None` where no covariance was positive definite.
+    /// Mean NEES per degree of freedom of the rotation; `None` where no covariance was positive definite, or where the truth was
+    /// aligned with the estimate.
     pub nees_rotation: Option<f64>,
     /// The same of the position.
     pub nees_position: Option<f64>,
@@ -72,6 +74,13 @@ pub struct Score {
     pub nees_samples: usize,
 }
 
+impl Score {
+    /// The score without its NEES.
+    fn without_nees(self) -> Self {
+        Self { nees_rotation: None, nees_position: None, nees_pose: None, ..self }
+    }
+}
+
 /// The score of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RunScore {
@@ -79,7 +88,7 @@ pub struct RunScore {
     pub local: Score,
     /// `global_from_local`, from some time after the map initialization on.
     pub transform: Option<Score>,
-    /// `global_from_imu`, from some time after the map initialization on; not aligned, unless `map_from_truth` says so.
+    /// `global_from_imu`, from some time after the map initialization on; not aligned, unless `map_from_truth` is there.
     pub pose: Option<Score>,
     /// The alignment of the truth with the map, where the map's frame is its own.
     pub map_from_truth: Option<MapFromTruth>,
@@ -93,6 +102,21 @@ pub struct RunScore {
     pub duration_s: f64,
     /// Time from the first estimate to the map initialization, seconds.
     pub map_initialization_s: Option<f64>,
+}
+
+impl RunScore {
+    /// The score without the NEES of the transform and of the pose in G.
+    ///
+    /// For a truth that was aligned with the estimated poses in G: the constant part of their errors in yaw and position is gone,
+    /// and their covariances are those of the whole errors.
+    #[must_use]
+    pub fn without_nees_in_map(&self) -> Self {
+        Self {
+            transform: self.transform.map(Score::without_nees),
+            pose: self.pose.map(Score::without_nees),
+            ..*self
+        }
+    }
 }
 
 /// One error of one pose, with the standard deviations that the filter claims.
@@ -258,7 +282,7 @@ pub fn score_rows<'a>(
             pose.push(estimate, &global_from_imu);
         }
     }
-    Ok(RunScore {
+    let score = RunScore {
         local: local.score().ok_or(ScoreError::NoOverlap)?,
         transform: transform.score(),
         pose: pose.score(),
@@ -270,7 +294,8 @@ pub fn score_rows<'a>(
         map_initialization_s: initialized
             .zip(overview.first_ns)
             .map(|(stamp_ns, first_ns)| seconds(first_ns, stamp_ns)),
-    })
+    };
+    Ok(if map_from_truth.is_some() { score.without_nees_in_map() } else { score })
 }
 
 /// What the scoring of a run needs before it can begin, from a first pass.

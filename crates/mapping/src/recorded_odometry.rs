@@ -138,6 +138,7 @@ pub fn run_configured(
             if frame.images.is_empty() {
                 continue;
             }
+            front_end.set_time_offset_ns(supervisor.camera_time_offset_ns());
             let since_ns = front_end.last_stamp_ns().unwrap_or(frame.stamp_ns);
             let read = &readings[..next_reading];
             let begin = read.partition_point(|reading| reading.stamp_ns <= since_ns).saturating_sub(1);

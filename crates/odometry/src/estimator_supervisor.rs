@@ -120,6 +120,14 @@ impl EstimatorSupervisor {
         }
     }
 
+    /// What is added to the time of an image to obtain the IMU's, as estimated or by the settings, nanoseconds.
+    pub fn camera_time_offset_ns(&self) -> i64 {
+        match &self.phase {
+            Phase::Running(estimator) => estimator.imu_stamp_ns(0),
+            Phase::Initializing(_) => self.config.imu_stamp_ns(0),
+        }
+    }
+
     /// Time of the last row of a frame on the clock of the IMU, nanoseconds: up to there readings are needed.
     pub fn last_row_ns(&self, frame_ns: i64) -> i64 {
         match &self.phase {

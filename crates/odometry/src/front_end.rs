@@ -63,6 +63,8 @@ pub struct FrontEndReport {
 pub struct FrontEnd {
     groups: Vec<GroupTracker>,
     max_gap_ns: i64,
+    /// Added to the time of an image to obtain the IMU's, nanoseconds.
+    time_offset_ns: i64,
     gyroscope_bias: Vector3<f64>,
     /// Number of images that the bias was estimated from.
     bias_images: usize,
@@ -89,11 +91,17 @@ impl FrontEnd {
         Ok(Self {
             groups: (0..).zip(groups).map(tracker).collect::<Result<_, _>>()?,
             max_gap_ns: options.max_gap_ns,
+            time_offset_ns: 0,
             gyroscope_bias: Vector3::zeros(),
             bias_images: 0,
             report: FrontEndReport::default(),
             skipped: RepeatedWarning::default(),
         })
+    }
+
+    /// Sets what is added to the time of an image to obtain the IMU's (ns), by the calibration or as the filter estimates it.
+    pub fn set_time_offset_ns(&mut self, time_offset_ns: i64) {
+        self.time_offset_ns = time_offset_ns;
     }
 
     /// Sets the gyroscope's bias (rad/s), from an initialization at rest or from the filter.
@@ -107,13 +115,14 @@ impl FrontEnd {
         self.gyroscope_bias
     }
 
-    /// Time of the oldest image from which points are still tracked, nanoseconds; the readings since then are needed for the next
-    /// frame.
+    /// Time of the oldest image from which points are still tracked, by the clock of the IMU, nanoseconds; the readings since then
+    /// are needed for the next frame.
     pub fn last_stamp_ns(&self) -> Option<i64> {
         let stamps = || self.groups.iter().filter_map(GroupTracker::last_stamp_ns);
         let newest_ns = stamps().max()?;
         // The tracks of a camera that has given no image for longer have ended.
-        stamps().filter(|stamp_ns| newest_ns - stamp_ns <= self.max_gap_ns).min()
+        let oldest_ns = stamps().filter(|stamp_ns| newest_ns - stamp_ns <= self.max_gap_ns).min()?;
+        Some(oldest_ns + self.time_offset_ns)
     }
 
     /// Counts of tracks at the last frame.
@@ -124,8 +133,8 @@ impl FrontEnd {
     /// Reads the images of a frame and tracks points in them.
     ///
     /// # Arguments
-    /// * `imu`: readings in order of time, those since [`Self::last_stamp_ns`] among them; without them the rotation is taken
-    ///   from the images alone.
+    /// * `imu`: readings in order of time, from [`Self::last_stamp_ns`] to the time of the frame by the clock of the IMU; without
+    ///   them the rotation is taken from the images alone.
     ///
     /// # Returns
     /// The tracked points, in the order of the groups. A point has one identity in both images of a stereo pair.
@@ -140,6 +149,7 @@ impl FrontEnd {
     ) -> Result<Vec<TrackObservation>, FrontEndError> {
         let gyroscope = GyroscopeNow {
             readings: imu,
+            time_offset_ns: self.time_offset_ns,
             bias: self.gyroscope_bias,
             bias_is_known: self.bias_images >= BIAS_IMAGES,
         };

@@ -20,14 +20,20 @@ const MIN_ROTATION_SIGMA: f64 = 5e-4;
 /// What the gyroscope measured, and what is known of its bias.
 pub(crate) struct GyroscopeNow<'a> {
     pub(crate) readings: &'a [ImuSample],
+    /// Added to the time of an image to obtain the IMU's, nanoseconds.
+    pub(crate) time_offset_ns: i64,
     /// rad/s.
     pub(crate) bias: Vector3<f64>,
     pub(crate) bias_is_known: bool,
 }
 
 impl GyroscopeNow<'_> {
-    /// Rotation of a camera between two instants, `current_from_previous`; `None` where readings are missing.
-    fn rotation(&self, imu_from_camera: &Rotation, from_ns: i64, to_ns: i64) -> Option<Rotation> {
+    /// Rotation of a camera between two images, `current_from_previous`; `None` where readings are missing.
+    ///
+    /// # Arguments
+    /// * `previous_ns`, `current_ns`: times of the images by the clock of the camera.
+    fn rotation(&self, imu_from_camera: &Rotation, previous_ns: i64, current_ns: i64) -> Option<Rotation> {
+        let (from_ns, to_ns) = (previous_ns + self.time_offset_ns, current_ns + self.time_offset_ns);
         let begin = self.readings.partition_point(|sample| sample.stamp_ns <= from_ns).saturating_sub(1);
         let end =
             (self.readings.partition_point(|sample| sample.stamp_ns < to_ns) + 1).min(self.readings.len());
@@ -162,5 +168,34 @@ fn of_rig(error: TrackerError, group: CameraGroup) -> TrackerError {
             TrackerError::MaskSize { camera: camera_of_rig(camera, group), have, want }
         }
         other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gyroscope_is_integrated_between_the_images_by_its_own_clock() {
+        // The angular rate grows by 1 rad/s each second.
+        let reading = |k: i64| ImuSample {
+            stamp_ns: k * 5_000_000,
+            gyroscope: Vector3::z() * (k as f64 * 5e-3),
+            accelerometer: Vector3::zeros(),
+        };
+        let readings: Vec<ImuSample> = (0..400).map(reading).collect();
+        for (time_offset_ns, from_s, to_s) in
+            [(0, 1.0, 1.05), (200_000_000, 1.2, 1.25), (-200_000_000, 0.8, 0.85)]
+        {
+            let gyroscope = GyroscopeNow {
+                readings: &readings,
+                time_offset_ns,
+                bias: Vector3::zeros(),
+                bias_is_known: true,
+            };
+            let rotation = gyroscope.rotation(&Rotation::identity(), 1_000_000_000, 1_050_000_000).unwrap();
+            let expected = 0.5 * (from_s * from_s - to_s * to_s);
+            assert!((log(&rotation) - Vector3::z() * expected).norm() < 1e-9, "at {time_offset_ns} ns");
+        }
     }
 }

@@ -33,8 +33,13 @@ fn photograph(k: i64) -> GrayImage {
 }
 
 fn photograph_of(sensor: &CameraSensor, k: i64) -> GrayImage {
+    photograph_after(sensor, (k * PERIOD_NS) as f64 * 1e-9)
+}
+
+/// What a camera sees after so many seconds of turning with [`RATE`].
+fn photograph_after(sensor: &CameraSensor, seconds: f64) -> GrayImage {
     let CameraSensor { camera, imu_from_camera, .. } = sensor;
-    let world_from_imu = exp(&(RATE * (k * PERIOD_NS) as f64 * 1e-9));
+    let world_from_imu = exp(&(RATE * seconds));
     let world_from_camera = world_from_imu * imu_from_camera.rotation;
     GrayImage::from_fn(376, 240, |x, y| {
         let ray = camera.bearing(&Vector2::new(x as f64, y as f64)).unwrap();
@@ -87,6 +92,30 @@ fn the_bias_of_the_gyroscope_is_learned_from_the_images() {
     let off = front_end.gyroscope_bias() - bias;
     assert!(off.norm() < 0.01, "off by {off:?} rad/s");
     assert!(front_end.report().continued > 60);
+}
+
+#[test]
+fn the_gyroscope_is_read_at_the_times_of_the_images_by_its_own_clock() {
+    const OFFSET_NS: i64 = 100_000_000;
+    // The camera turns faster and faster: by the wrong clock the gyroscope would be off by 0.13 rad/s.
+    let reading = |k: i64| ImuSample {
+        stamp_ns: k * PERIOD_NS / 10 + OFFSET_NS,
+        gyroscope: RATE * (1.0 + 2.0 * (k * PERIOD_NS / 10) as f64 * 1e-9),
+        accelerometer: Vector3::new(0.0, 0.0, 9.81),
+    };
+    let readings: Vec<ImuSample> = (0..=200).map(reading).collect();
+    let mut front_end = front_end();
+    front_end.set_time_offset_ns(OFFSET_NS);
+    for k in 0..15 {
+        let seconds = (k * PERIOD_NS) as f64 * 1e-9;
+        let image = photograph_after(&sensor(), seconds + seconds * seconds);
+        let images = [(0, image.into())].into();
+        let frame = Frame { stamp_ns: k * PERIOD_NS, images, ..Frame::default() };
+        front_end.track_frame(&frame, &readings).unwrap();
+    }
+    let off = front_end.gyroscope_bias();
+    assert!(off.norm() < 0.03, "off by {off:?} rad/s");
+    assert_eq!(front_end.last_stamp_ns(), Some(14 * PERIOD_NS + OFFSET_NS));
 }
 
 #[test]

@@ -83,12 +83,14 @@ pub struct StatusReport {
     pub frames: usize,
     /// Queries to the map so far.
     pub queries: QuerySummary,
+    /// Whether something is wrong with the sensors, or with what they send; the reason of the status says what.
+    pub has_sensor_fault: bool,
 }
 
 impl StatusReport {
     /// A status before any query.
     pub fn new(stamp_ns: Option<i64>, status: Status) -> Self {
-        Self { stamp_ns, status, frames: 0, queries: QuerySummary::default() }
+        Self { stamp_ns, status, frames: 0, queries: QuerySummary::default(), has_sensor_fault: false }
     }
 
     /// Its time, nanoseconds; before the first image that of this machine, since 1970.

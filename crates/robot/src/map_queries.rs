@@ -141,7 +141,13 @@ impl Robot<'_> {
             }
             let revision = map_revision(notice);
             let (from, version) = (revision.from_version, revision.version);
-            match estimator.map_changed(&revision) {
+            let before = estimator.local_from_imu();
+            let effect = estimator.map_changed(&revision);
+            let after = estimator.local_from_imu();
+            if before != after {
+                self.outputs.each(|output| output.correct(&before, &after));
+            }
+            match effect {
                 RevisionEffect::CarriedOver => {
                     self.report.map_changes.carried_over += 1;
                     let size = revision.size;

@@ -47,6 +47,7 @@ impl<'a> Connection<'a> {
 ///
 /// # Order
 /// [`begin`](Output::begin) comes with the first image. Of an image come [`frame`](Output::frame), [`tracks`](Output::tracks), then
+/// [`correct`](Output::correct) where GNSS or a change of the map corrected the pose, then
 /// [`features`](Output::features), [`correct`](Output::correct), [`answer`](Output::answer) and [`query`](Output::query) for each answer of the map, then
 /// [`estimate`](Output::estimate), then [`status`](Output::status). [`end`](Output::end) is the last.
 ///
@@ -155,7 +156,8 @@ pub trait Output {
         None
     }
 
-    /// The map corrected the pose of the IMU in L, at one time: the robot has not moved, only its pose in L jumps.
+    /// The map, a change of it or GNSS corrected the pose of the IMU in L, at one time: the robot has not moved, only its pose in L
+    /// jumps.
     ///
     /// # Arguments
     /// * `before`, `after`: `local_from_imu`, with covariances `[δθ, δp]` in L (rad, metres).

@@ -365,6 +365,9 @@ impl<'a> Robot<'a> {
             }
             Err(error) => return Err(error),
         };
+        if let Some([before, after]) = estimator.gnss_correction() {
+            self.outputs.each(|output| output.correct(&before, &after));
+        }
         timings.propagation = begin.elapsed();
 
         let begin = Instant::now();
@@ -409,6 +412,7 @@ impl<'a> Robot<'a> {
         if frame.images.is_empty() {
             return Some(Vec::new());
         }
+        front_end.set_time_offset_ns(self.supervisor.camera_time_offset_ns());
         front_end
             .track_frame(frame, self.events.imu.accepted())
             .inspect_err(|error| {

@@ -92,6 +92,7 @@ impl Robot<'_> {
             status: self.status(),
             frames: self.report.frames,
             queries: self.report.queries,
+            has_sensor_fault: self.faults.now().next().is_some(),
         }
     }
 

@@ -59,13 +59,30 @@ mod tests {
     use crate::rig;
     use nalgebra::UnitQuaternion;
 
-    #[test]
-    fn a_row_is_seen_from_where_the_body_was_at_its_time() {
+    /// A radian and a metre a second.
+    fn turning() -> Spline {
         let turned = |k: i32| {
             let angle = 0.1 * f64::from(k);
             Pose::new(UnitQuaternion::from_scaled_axis(Vector3::z() * angle), Vector3::x() * angle)
         };
-        let spline = Spline::new(0, 100_000_000, (0..20).map(turned).collect()).unwrap();
+        Spline::new(0, 100_000_000, (0..20).map(turned).collect()).unwrap()
+    }
+
+    #[test]
+    fn a_camera_with_a_delay_sees_from_where_the_body_is_later() {
+        let (spline, stamp_ns) = (turning(), 800_000_000);
+        let sensor = &rig::stereo(10.0, 0.0, 0.005)[1];
+        let ahead = spline.at(stamp_ns).pose;
+        let landmark = ahead.transform(&Vector3::new(8.0, 0.5, 0.0));
+        let pixel = Exposure::of(&spline, stamp_ns).project(sensor, &landmark).unwrap();
+        let at = |pose| Exposure::at_once(pose).project(sensor, &landmark).unwrap();
+        assert!((pixel - at(spline.at(stamp_ns + 5_000_000).pose)).norm() < 1e-6);
+        assert!((pixel - at(ahead)).norm() > 1.0, "a radian a second is 2.3 px in 5 ms");
+    }
+
+    #[test]
+    fn a_row_is_seen_from_where_the_body_was_at_its_time() {
+        let spline = turning();
         let sensor = &rig::stereo(10.0, 0.03, 0.0)[0];
         let stamp_ns = 800_000_000;
         let exposure = Exposure::of(&spline, stamp_ns);

@@ -74,7 +74,8 @@ pub struct SimulationOptions {
     pub frame_rate_hz: f64,
     /// Readout time of the cameras' rolling shutters, seconds; 0 for global ones.
     pub readout_s: f64,
-    /// Time of the second camera's images after those of the first, seconds, which the calibration states.
+    /// Time of the second camera's images after those of the first, seconds, which the calibration states; at most 5 ms, beyond which
+    /// it would be one of the stamps.
     pub second_delay_s: f64,
     /// IMU samples a second.
     pub imu_rate_hz: f64,
@@ -188,6 +189,15 @@ impl SimulationOptions {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(SimulationError::Option { name, value, wanted: "not negative" });
             }
+        }
+        let delayed = &rig::stereo(self.frame_rate_hz, self.readout_s, self.second_delay_s)[1];
+        if delayed.stamp_shift_ns() != 0 {
+            let (name, value) = ("second_delay_s", self.second_delay_s);
+            return Err(SimulationError::Option {
+                name,
+                value,
+                wanted: "a delay within a frame, up to 0.005",
+            });
         }
         let fractions = [
             ("outlier_fraction", self.outlier_fraction),

@@ -1,6 +1,6 @@
 //! Odometry of a hand-held stereo pair whose second camera is exposed later than the first, by a delay that its calibration states.
 
-use crate::{Tracks, rms_error_m};
+use crate::{Tracks, none_diverged, rms_error_m};
 use estimator::{EstimatorConfig, MapMode};
 use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{MonteCarloOptions, Variant, VariantRuns, run};
@@ -34,6 +34,11 @@ fn odometry(second_delay_s: f64) -> VariantRuns {
 #[test]
 fn a_camera_with_a_delay_is_as_good_as_one_without() {
     let (together, late) = (odometry(0.0), odometry(0.005));
+    none_diverged(&together);
+    none_diverged(&late);
+    for (one, other) in together.trials.iter().zip(&late.trials) {
+        assert!(one.errors != other.errors, "seed {}: the delay changes nothing", one.seed);
+    }
     let [together_m, late_m] =
         [&together, &late].map(|runs| runs.trials.iter().map(rms_error_m).sum::<f64>() / RUNS as f64);
     let nees = score(&late, &ScoreOptions::default()).local.unwrap().pose.mean;

@@ -1,6 +1,6 @@
 //! GNSS over Monte-Carlo runs: between two stretches with a map, and without any.
 
-use crate::Tracks;
+use crate::{Tracks, none_diverged};
 use estimator::{EstimatorConfig, GnssConfig, MapMode};
 use simulation::SimulationOptions;
 use simulation::monte_carlo::score::{ScoreOptions, score};
@@ -57,9 +57,11 @@ fn runs(
     run(&options, variants, |_| {}).unwrap()
 }
 
-/// Root mean square error of the position in G from a time on, metres; infinite without one.
+/// Root mean square error of the position in G from a time on, metres; infinite without one, and for a run that ended early.
 fn rms_in_global_m(trial: &Trial, from_s: f64) -> f64 {
-    let Some(errors) = &trial.errors else { return f64::INFINITY };
+    let Some(errors) = trial.errors.as_ref().filter(|_| trial.diverged.is_none()) else {
+        return f64::INFINITY;
+    };
     let from_ns = trial.begin_ns + (from_s * 1e9) as i64;
     let late = errors.pose.iter().filter(|sample| sample.stamp_ns >= from_ns);
     let squares: Vec<f64> = late.map(|sample| sample.error.fixed_rows::<3>(3).norm_squared()).collect();
@@ -94,6 +96,7 @@ fn between_maps(count: usize, tracks: Tracks) {
     }
     assert!(better * ALL_RUNS >= MOST_RUNS * count, "better in {better} of {count}");
     let with = with.pose.unwrap();
+    assert_eq!(with.pose.runs, count, "all runs are in the NEES");
     assert!((0.7..=1.4).contains(&with.pose.mean), "{:?}", with.pose);
     assert!(with.rmse_m < without.pose.unwrap().rmse_m);
 }
@@ -125,6 +128,7 @@ fn without_a_map(count: usize, tracks: Tracks) {
     let score = score(&all[0], &ScoreOptions { skip_after_initialization_s: 0.0, ..ScoreOptions::default() });
     assert_eq!(score.diverged, 0);
     let pose = score.pose.unwrap();
+    assert_eq!(pose.pose.runs, count, "all runs are in the NEES");
     println!(
         "in G: {:.3} m, {:.2} deg, NEES {:.2} {:.2} {:.2}",
         pose.rmse_m, pose.rmse_deg, pose.rotation.mean, pose.position.mean, pose.pose.mean
@@ -153,6 +157,7 @@ fn jumps_are_gated() {
     let jump = |from_s: f64, to_s: f64, offset_m| GnssJump { span_s: from_s..to_s, offset_m };
     gnss.jumps = vec![jump(24.5, 32.5, [4.0, -4.0, 2.0]), jump(40.5, 41.5, [0.0, 20.0, 0.0])];
     let jumping = runs(3, 50.0, Tracks::Few, &gnss, &with);
+    clean.iter().chain(&jumping).for_each(none_diverged);
     for (clean, jumping) in clean[0].trials.iter().zip(&jumping[0].trials) {
         let counts = jumping.gnss.unwrap();
         let [one, other] = [clean, jumping].map(|trial| rms_in_global_m(trial, 12.0));
@@ -170,6 +175,7 @@ fn positions_of_another_place_are_left_out_and_named() {
     gnss.jumps = vec![GnssJump { span_s: 15.0..1e9, offset_m: [30.0, 0.0, 0.0] }];
     let variants = [variant(MapMode::Multi, None), variant(MapMode::Multi, Some(gnss.antenna))];
     let all = runs(3, 50.0, Tracks::Few, &gnss, &variants);
+    all.iter().for_each(none_diverged);
     for (without, with) in all[0].trials.iter().zip(&all[1].trials) {
         let [alone, misled] = [without, with].map(|trial| rms_in_global_m(trial, 12.0));
         let left_out_s = with.gnss_left_out_s.unwrap();

@@ -31,9 +31,18 @@ fn loops(speed: f64, duration_s: f64, tracks: Tracks) -> simulation::SimulationO
     }
 }
 
-/// Root mean square error of the position in L, metres; infinite without one.
+/// Asserts that every run came to its end: the errors of one that did not are those until then.
+fn none_diverged(all: &simulation::monte_carlo::VariantRuns) {
+    for trial in &all.trials {
+        assert_eq!(trial.diverged, None, "{}, seed {}", all.variant.name, trial.seed);
+    }
+}
+
+/// Root mean square error of the position in L, metres; infinite without one, and for a run that ended early.
 fn rms_error_m(trial: &simulation::monte_carlo::Trial) -> f64 {
-    let Some(errors) = &trial.errors else { return f64::INFINITY };
+    let Some(errors) = trial.errors.as_ref().filter(|_| trial.diverged.is_none()) else {
+        return f64::INFINITY;
+    };
     let squares: f64 = errors.local.iter().map(|sample| sample.error.fixed_rows::<3>(3).norm_squared()).sum();
     (squares / errors.local.len() as f64).sqrt()
 }

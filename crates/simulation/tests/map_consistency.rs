@@ -42,7 +42,7 @@ const ALL_SEEDS: usize = 40;
 
 fn all_three_poses(runs: usize, duration_s: f64, tracks: Tracks) {
     let every = AnswerOptions { every_s: 2.0, ..AnswerOptions::default() };
-    is_as_stated(ensemble(runs, 2, loops(3.0, duration_s, tracks), every));
+    is_as_stated(ensemble(runs, 2, loops(3.0, duration_s, tracks), every), runs);
 }
 
 #[test]
@@ -76,13 +76,19 @@ fn map_initialization_is_as_stated(runs: usize, duration_s: f64, tracks: Tracks)
     };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
-    is_as_stated(ensemble(runs, 2, simulation, answers));
+    // A dozen matches are few: half of the runs end before an answer is certain enough for a first pose.
+    is_as_stated(ensemble(runs, 2, simulation, answers), runs / 3);
 }
 
-fn is_as_stated(score: EnsembleScore) {
+/// Asserts the NEES of all three poses.
+///
+/// # Arguments
+/// * `least_runs`: which must be in it: a run that was never localized has no pose in G.
+fn is_as_stated(score: EnsembleScore, least_runs: usize) {
     let outputs = [("local", score.local), ("transform", score.transform), ("in G", score.pose)];
     for (name, output) in outputs {
         let output = output.unwrap();
+        assert!(output.pose.runs >= least_runs, "{name}: {} runs", output.pose.runs);
         for (part, nees) in
             [("rotation", &output.rotation), ("position", &output.position), ("pose", &output.pose)]
         {

@@ -158,6 +158,7 @@ fn own_starts_are_as_stated(runs: usize, tracks: Tracks) {
                     "{scenario:?} {} {part}: {nees:?}",
                     score.name
                 );
+                assert!(nees.mean > 0.3, "{scenario:?} {} {part}: {nees:?}", score.name);
             }
         }
     }

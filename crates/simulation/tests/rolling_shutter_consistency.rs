@@ -1,7 +1,7 @@
 //! Odometry with rolling shutters over Monte-Carlo runs of a hand-held body: against filters that do not know of it, and against the same
 //! runs with global shutters.
 
-use crate::{Tracks, rms_error_m};
+use crate::{Tracks, none_diverged, rms_error_m};
 use estimator::{EstimatorConfig, MapMode};
 use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{MonteCarloOptions, OutputScore, Variant, VariantRuns, run};
@@ -72,9 +72,11 @@ fn is_as_good_as_a_global_shutter(count: usize, tracks: Tracks, cameras: usize) 
     let [without, known, estimated] = &all[..] else { panic!("three variants") };
     let global = runs(count, tracks, 0.0, &[odometry("global shutter", cameras, None, false)]);
     let global_score = scored(&global[0]);
+    none_diverged(&global[0]);
     scored(without);
     for with in [known, estimated] {
         let local = scored(with);
+        none_diverged(with);
         // These runs are conservative with global shutters already; rolling ones must not be more so.
         let least = 0.7_f64.min(0.9 * global_score.pose.mean);
         assert!((least..=1.4).contains(&local.pose.mean), "{:?}", local.pose);

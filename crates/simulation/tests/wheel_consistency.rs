@@ -1,7 +1,7 @@
 //! Wheel odometry over Monte-Carlo runs of one camera on a flat floor, with four times the noise that the IMU states: with the
 //! wheels against without.
 
-use crate::{Tracks, rms_error_m};
+use crate::{Tracks, none_diverged, rms_error_m};
 use estimator::{BaseKind, Estimated, EstimatorConfig, MapMode, WheelBase, WheelConfig, WheelReport};
 use sensors::Encoder;
 use simulation::drive::sideways_drive;
@@ -147,6 +147,7 @@ fn compared_with(
 ) -> (VariantRuns, VariantRuns) {
     let variants = [odometry("mono", None), odometry("mono with wheels", Some(wheels.stated))];
     let all = runs(count, seconds, tracks, wheels, &variants);
+    all.iter().for_each(none_diverged);
     let Ok([without, with]) = <[VariantRuns; 2]>::try_from(all) else { panic!("two variants") };
     for (one, other) in without.trials.iter().zip(&with.trials) {
         println!("seed {}: {:.3} m without, {:.3} m with", other.seed, rms_error_m(one), rms_error_m(other));
@@ -157,7 +158,6 @@ fn compared_with(
 
 fn is_better(without: &VariantRuns, with: &VariantRuns) {
     let [without, with] = [without, with].map(|all| score(all, &ScoreOptions::default()));
-    assert_eq!((without.diverged, with.diverged), (0, 0));
     let (without, with) = (without.local.unwrap(), with.local.unwrap());
     for (name, local) in [("without", &without), ("with", &with)] {
         let [rotation, position, pose] =
@@ -204,8 +204,7 @@ fn other_bases_find_their_calibration() {
     // Omni wheels differ from mecanum wheels by their table only.
     for (name, wheels) in others().into_iter().take(3) {
         println!("{name}:");
-        let (without, with) = compared_with(1, 30.0, Tracks::Few, &wheels);
-        assert!(without.trials.iter().chain(&with.trials).all(|trial| trial.diverged.is_none()));
+        compared_with(1, 30.0, Tracks::Few, &wheels);
     }
 }
 
@@ -228,6 +227,7 @@ fn slip_is_gated() {
     let clean = runs(3, 30.0, Tracks::Few, &wheels, &[odometry("clean", Some(stated()))]);
     wheels.slips = vec![slip(11.5), slip(19.5)];
     let slipping = runs(3, 30.0, Tracks::Few, &wheels, &[odometry("slip", Some(stated()))]);
+    clean.iter().chain(&slipping).for_each(none_diverged);
     for (clean, slipping) in clean[0].trials.iter().zip(&slipping[0].trials) {
         let counts = slipping.wheels.as_ref().unwrap().counts;
         println!("{:.3} m, with slip {:.3} m: {counts:?}", rms_error_m(clean), rms_error_m(slipping));
@@ -245,8 +245,8 @@ fn nonsense_is_left_out_within_a_second() {
     wheels.slips = vec![Slip { from_s: begin_s, to_s: 1e9, factors: [0.0, 1.0, 1.0, 1.0] }];
     let variants = [odometry("without", None), odometry("nonsense", Some(stated()))];
     let all = runs(3, 30.0, Tracks::Few, &wheels, &variants);
+    all.iter().for_each(none_diverged);
     for (without, trial) in all[0].trials.iter().zip(&all[1].trials) {
-        assert_eq!(trial.diverged, None);
         // The first image is a tenth of a second after the first reading.
         let after_s = trial.wheels_left_out_s.unwrap() + 0.1 - begin_s;
         println!(
@@ -267,8 +267,8 @@ fn nonsense_from_the_start_is_never_used() {
         wheels.slips = vec![Slip { from_s: 0.0, to_s: 1e9, factors }];
         let variants = [odometry("without", None), odometry("nonsense", Some(stated()))];
         let all = runs(3, 20.0, Tracks::Few, &wheels, &variants);
+        all.iter().for_each(none_diverged);
         for (without, trial) in all[0].trials.iter().zip(&all[1].trials) {
-            assert_eq!(trial.diverged, None);
             let [alone, with] = [without, trial].map(rms_error_m);
             println!("{factors:?}: {with:.3} m, without wheels {alone:.3} m, {:?}", trial.wheels_left_out_s);
             assert!(trial.wheels_left_out_s.is_some_and(|seconds| seconds < 6.0));

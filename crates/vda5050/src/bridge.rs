@@ -15,6 +15,9 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use zenoh::Session;
 
+/// Messages of a vehicle a second, at least and at most.
+const MIN_RATE_HZ: f64 = 0.01;
+const MAX_RATE_HZ: f64 = 100.0;
 /// Time between two looks for new robots.
 const LOOK: Duration = Duration::from_millis(200);
 
@@ -35,8 +38,8 @@ pub enum BridgeError {
         /// The serial number of both.
         serial: String,
     },
-    /// A rate that is not positive, or beyond 100 Hz.
-    #[error("{0} Hz cannot be the rate of a topic: more than 0 and at most 100 are possible")]
+    /// A rate below 0.01 Hz, or beyond 100 Hz.
+    #[error("{0} Hz cannot be the rate of a topic: {min} to {max} are possible", min = MIN_RATE_HZ, max = MAX_RATE_HZ)]
     Rate(f64),
     /// Certificates or a key that cannot be used.
     #[error(transparent)]
@@ -64,7 +67,7 @@ pub struct BridgeSettings {
     pub manufacturer: String,
     /// Serial numbers of the robots that are bridged, by name; empty for all robots, whose names are their serial numbers.
     pub serials: BTreeMap<String, String>,
-    /// Messages of a vehicle a second.
+    /// Messages of a vehicle a second, 0.01 to 100.
     pub rate_hz: f64,
     /// Whether `connection` is published; not where the vehicle's own controller does.
     pub announces: bool,
@@ -91,7 +94,7 @@ impl BridgeSettings {
     fn check(&self) -> Result<(), BridgeError> {
         check_level(&self.interface)?;
         check_level(&self.manufacturer)?;
-        if !(self.rate_hz > 0.0 && self.rate_hz <= 100.0) {
+        if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&self.rate_hz) {
             return Err(BridgeError::Rate(self.rate_hz));
         }
         let mut robots = BTreeMap::new();

@@ -22,7 +22,7 @@ const RETRY: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(10
 const GOODBYE: Duration = Duration::from_secs(2);
 /// How long the last status of a robot may come after its token went.
 const LAST_STATUS: Duration = Duration::from_millis(500);
-/// Time between two looks at a robot that is not there.
+/// Time between two looks at whether a robot is there.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Whether the broker answers, told once for all vehicles.
@@ -134,6 +134,8 @@ impl VehicleConnection {
         }
         let mut ticks = interval(Duration::from_secs_f64(1.0 / self.settings.rate_hz));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut looks = interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let end = loop {
             tokio::select! {
                 ended = &mut network => {
@@ -145,6 +147,7 @@ impl VehicleConnection {
                 }
                 _ = stopped.changed() => break End::Stopped,
                 _ = ticks.tick() => self.publish_position(&messages),
+                _ = looks.tick() => {}
             }
             if !self.is_online() {
                 // Where it was is not where it is.

@@ -198,6 +198,20 @@ async fn a_robot_that_goes_is_told_of_and_comes_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_goes_is_told_of_between_two_messages_of_a_slow_rate() {
+    let mut broker = Broker::start(0, 0).await;
+    let running = start(BridgeSettings { rate_hz: 0.01, ..settings(&broker.url()) }).await;
+    let token = running.session.liveliness().declare_token("robot/cart7").await.unwrap();
+    let driving = running.drive("cart7");
+    broker.message("/connection", is_connection("ONLINE")).await;
+    driving.abort();
+    token.undeclare().await.unwrap();
+    broker.message("/connection", is_connection("CONNECTIONBROKEN")).await;
+    assert_eq!(broker.next().await, Received::Disconnect);
+    running.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_broker_that_goes_is_tried_again_and_what_was_missed_is_not_sent_later() {
     let mut broker = Broker::start(0, 0).await;
     let (url, port) = (broker.url(), broker.address.port());
@@ -293,7 +307,7 @@ async fn settings_that_cannot_be_used_are_refused() {
     let same = [("a", "1"), ("b", "1")].map(|(robot, serial)| (robot.to_owned(), serial.to_owned())).into();
     let error = run(BridgeSettings { serials: same, ..good.clone() }).await;
     assert!(matches!(error, BridgeError::SameSerial { .. }), "{error}");
-    for rate_hz in [0.0, -1.0, f64::NAN, 1e9] {
+    for rate_hz in [0.0, 1e-20, 0.009, -1.0, f64::NAN, 1e9] {
         assert!(matches!(run(BridgeSettings { rate_hz, ..good.clone() }).await, BridgeError::Rate(_)));
     }
     let error = run(BridgeSettings { manufacturer: "a/b".to_owned(), ..good.clone() }).await;

@@ -119,18 +119,23 @@ impl WheelArguments {
     /// # Errors
     /// Joints or counts that are none of such a base.
     pub fn name_topic(&self, files: &mut CalibrationFiles) -> Result<()> {
+        self.check_joints(self.wheel_base.unwrap_or_default())?;
+        files.wheel_topic.clone_from(&self.wheel_topic);
+        files.wheel_joints.clone_from(&self.wheel_joints);
+        files.wheel_base = self.wheel_base;
+        files.wheel_encoder = self.encoder()?;
+        Ok(())
+    }
+
+    /// Checks that the joints are as many as such a base has, where they are named.
+    pub(crate) fn check_joints(&self, kind: BaseKind) -> Result<()> {
         let joints = self.wheel_joints.len();
-        let kind = self.wheel_base.unwrap_or_default();
         ensure!(
             joints == 0 || joints == kind.columns().len(),
             "--wheel-joints names {joints} joints, but a {kind} base has {}: {}",
             kind.columns().len(),
             kind.columns().join(", ")
         );
-        files.wheel_topic.clone_from(&self.wheel_topic);
-        files.wheel_joints.clone_from(&self.wheel_joints);
-        files.wheel_base = self.wheel_base;
-        files.wheel_encoder = self.encoder()?;
         Ok(())
     }
 

@@ -109,7 +109,8 @@ impl BenchmarkReport {
             "The map was aligned once with the truth of its own recording, in yaw and position; the poses of the others are compared \
              as they are."
         } else {
-            "The map's recording has no truth: that of each other recording was aligned with its poses in the map, in yaw and position."
+            "The map's recording has no truth: that of each other recording was aligned with its poses in the map, in yaw and position, \
+             which removes the constant part of the errors: there is no NEES."
         };
         let _ = writeln!(
             text,

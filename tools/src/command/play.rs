@@ -1,6 +1,6 @@
 //! `driftless play`: a recording as live topics.
 
-use crate::playback::{NativeTopics, RosTopics, SensorTopics, play, wait_for_robot};
+use crate::playback::{NativeTopics, Published, RosTopics, SensorTopics, play, wait_for_robot};
 use anyhow::{Context as _, Result, bail};
 use client::SessionArguments;
 use client::session::{close_session, open_session};
@@ -26,7 +26,7 @@ pub enum Form {
     map_server --map hall=hall.db --listen tcp/127.0.0.1:7447 &\n  \
     onboard --source native --calibration MH_03 --map hall --robot cart7 --out run &\n  \
     driftless play MH_03 --as native --robot cart7\n\n  \
-    onboard --source ros2 --imu-topic /imu0 --camera-topic /cam0/image_raw --calibration MH_03 --out run &\n  \
+    onboard --source ros2 --imu-topic /imu0 --camera-topic /cam0/image_raw --calibration MH_03 --mode odometry --out run &\n  \
     driftless play MH_03 --as ros2\n\n\
     Playing begins when the robot listens.")]
 pub struct Args {
@@ -97,7 +97,10 @@ pub fn run(args: &Args) -> Result<()> {
     wait_for_robot(topics.as_ref(), &stop)?;
     let published =
         play(topics.as_ref(), &mut recording.source()?, args.rate, recording.time_offset_ns(), &stop)?;
-    println!("published {} readings and {} frames", published.readings, published.frames);
+    let Published { readings, frames, wheels, positions } = published;
+    println!(
+        "published {readings} readings, {frames} frames, {wheels} readings of wheels and {positions} positions of GNSS"
+    );
     drop(topics);
     runtime.block_on(close_session(&session));
     Ok(())

@@ -3,6 +3,7 @@
 mod native;
 #[cfg(feature = "ros")]
 mod ros;
+mod side_readings;
 
 pub use native::NativeTopics;
 #[cfg(feature = "ros")]
@@ -10,7 +11,9 @@ pub use ros::RosTopics;
 
 use anyhow::Result;
 use onboard::StopSignal;
+use protocol::sensors::{GnssMessage, WheelMessage};
 use sensors::{CameraSensor, Frame, ImuSample, SensorEvent, SensorSource};
+use side_readings::SideReadings;
 use std::time::{Duration, Instant};
 
 /// How often the player checks whether a robot listens, and how often it reports that none does.
@@ -24,6 +27,10 @@ pub struct Published {
     pub readings: usize,
     /// Frames: images or pairs of images, or tracks.
     pub frames: usize,
+    /// Readings of the wheels.
+    pub wheels: usize,
+    /// Positions of GNSS.
+    pub positions: usize,
 }
 
 /// The topics of a robot's sensors.
@@ -59,6 +66,30 @@ pub trait SensorTopics {
     /// # Errors
     /// An image that cannot be read, a session that is closed.
     fn frame(&self, frame: &Frame) -> Result<()>;
+
+    /// Publishes a reading of the wheels.
+    ///
+    /// # Returns
+    /// Whether there is a topic for it.
+    ///
+    /// # Errors
+    /// The session is closed.
+    fn wheels(&self, message: &WheelMessage) -> Result<bool> {
+        let _ = message;
+        Ok(false)
+    }
+
+    /// Publishes a position of GNSS.
+    ///
+    /// # Returns
+    /// Whether there is a topic for it.
+    ///
+    /// # Errors
+    /// The session is closed.
+    fn gnss(&self, message: &GnssMessage) -> Result<bool> {
+        let _ = message;
+        Ok(false)
+    }
 }
 
 /// Waits until a robot listens, or until `stop` is raised.
@@ -96,6 +127,7 @@ pub fn play(
     stop: &StopSignal,
 ) -> Result<Published> {
     let shifts_ns: Vec<i64> = source.calibration().cameras.iter().map(CameraSensor::stamp_shift_ns).collect();
+    let mut side = SideReadings::new(source.calibration(), source.contents());
     let (mut published, begin, mut first_ns) = (Published::default(), Instant::now(), None);
     while let Some(event) = source.next()? {
         let Some(stamp_ns) = event.stamp_ns() else { continue };
@@ -115,6 +147,8 @@ pub fn play(
                 }
                 published.frames += 1;
             }
+            SensorEvent::Wheels(reading) => published.wheels += usize::from(side.wheels(topics, &reading)?),
+            SensorEvent::Gnss(reading) => published.positions += usize::from(side.gnss(topics, &reading)?),
             _ => {}
         }
     }

@@ -3,7 +3,7 @@
 use super::SensorTopics;
 use anyhow::{Context as _, Result};
 use protocol::keys;
-use protocol::sensors::{ImageHeader, ImuMessage, TracksMessage};
+use protocol::sensors::{GnssMessage, ImageHeader, ImuMessage, TracksMessage, WheelMessage};
 use sensors::{Contents, Frame, ImageData, ImuSample, TrackObservation};
 use tokio::runtime::Handle;
 use zenoh::pubsub::Publisher;
@@ -16,6 +16,8 @@ pub struct NativeTopics<'a> {
     imu: Publisher<'a>,
     cameras: Vec<Publisher<'a>>,
     tracks: Publisher<'a>,
+    wheels: Publisher<'a>,
+    gnss: Publisher<'a>,
     contents: Contents,
 }
 
@@ -48,6 +50,8 @@ impl NativeTopics<'_> {
                 .map(|camera| declare(keys::robot_camera(robot, camera)?))
                 .collect::<Result<_>>()?,
             tracks: declare(keys::robot_tracks(robot)?)?,
+            wheels: declare(keys::robot_wheels(robot)?)?,
+            gnss: declare(keys::robot_gnss(robot)?)?,
             contents,
         })
     }
@@ -95,6 +99,16 @@ impl SensorTopics for NativeTopics<'_> {
             self.put(publisher, bytes, Some(serde_json::to_vec(&header)?))?;
         }
         Ok(())
+    }
+
+    fn wheels(&self, message: &WheelMessage) -> Result<bool> {
+        self.put(&self.wheels, serde_json::to_vec(message)?, None)?;
+        Ok(true)
+    }
+
+    fn gnss(&self, message: &GnssMessage) -> Result<bool> {
+        self.put(&self.gnss, serde_json::to_vec(message)?, None)?;
+        Ok(true)
     }
 }
 

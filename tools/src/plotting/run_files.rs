@@ -123,7 +123,8 @@ impl RunFiles {
     /// The score of the run, if its truth is known.
     pub(crate) fn score(&self) -> Option<RunScore> {
         let truth = self.truth.as_ref()?;
-        score_run(&self.states, &truth.rows, truth.gravity, &ScoreOptions::default()).ok()
+        let score = score_run(&self.states, &truth.rows, truth.gravity, &ScoreOptions::default()).ok()?;
+        Some(if self.truth_is_aligned { score.without_nees_in_map() } else { score })
     }
 
     /// The errors of the run, if its truth is known.

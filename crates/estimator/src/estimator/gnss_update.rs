@@ -6,6 +6,7 @@ use crate::gnss::alignment::{Located, Unaligned, align, extents};
 use crate::gnss::measurement::{Between, GnssMeasurement, antenna_in_local};
 use crate::gnss::report::GnssCounts;
 use crate::gnss::{BadGnssReading, Gnss};
+use geometry::PoseWithCovariance;
 use types::GnssReading;
 
 /// A map that corrected the pose within this time supports the state against GNSS, nanoseconds.
@@ -26,16 +27,24 @@ impl Estimator {
         self.gnss.as_ref().map(|gnss| gnss.counts)
     }
 
+    /// How GNSS corrected [`Self::local_from_imu`] in the last [`Self::time_update`]: before and after, at one time. `None` where it
+    /// did not.
+    pub fn gnss_correction(&self) -> Option<[PoseWithCovariance; 2]> {
+        self.gnss.as_ref()?.correction
+    }
+
     /// Takes in the newest clone, and makes the updates that are due.
     pub(super) fn gnss_updates(&mut self) -> Result<(), EstimatorError> {
         let Some(mut gnss) = self.gnss.take() else { return Ok(()) };
         if let Some(newest) = self.state.clones.last() {
             gnss.add_clone(newest.id, self.state.stamp_ns);
         }
+        let (before, used) = (self.local_from_imu(), gnss.counts.used);
         let mut done = Ok(());
         while let (Ok(()), Some((reading, between))) = (&done, gnss.next_due(&self.state)) {
             done = self.gnss_update(&mut gnss, &reading, &between);
         }
+        gnss.correction = (gnss.counts.used > used).then(|| [before, self.local_from_imu()]);
         self.gnss = Some(gnss);
         done
     }
@@ -127,5 +136,56 @@ impl Estimator {
         gnss.last_used_ns = gnss.located.back().map(|last| last.stamp_ns);
         gnss.watch.clear();
         gnss.counts.initializations += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::CalibratedCamera;
+    use crate::config::{EstimatorConfig, InitialSigmas};
+    use crate::gnss::config::GnssConfig;
+    use crate::initialization::static_init::InitialState;
+    use geometry::{Camera, Distortion, Pose};
+    use nalgebra::{Matrix3, Matrix6, Vector3};
+    use types::ImuSample;
+
+    const IMAGE_NS: i64 = 100_000_000;
+
+    /// A body at rest whose `global_from_local` is known to a centimetre.
+    fn estimator() -> Estimator {
+        let distortion = Distortion::None;
+        let camera =
+            Camera { width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion };
+        let cameras = vec![CalibratedCamera::new(camera, Pose::identity())];
+        let (rest, down) = (Vector3::zeros(), -Vector3::z());
+        let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
+        let config = EstimatorConfig { gnss: Some(GnssConfig::default()), ..EstimatorConfig::default() };
+        let mut estimator = Estimator::new(config, cameras, &start).unwrap();
+        let transform = PoseWithCovariance::new(Pose::identity(), Matrix6::identity() * 1e-4);
+        estimator.insert_transform(&transform);
+        for step in 0..=60 {
+            let accelerometer = Vector3::z() * estimator.config().gravity;
+            let (stamp_ns, gyroscope) = (step * 5_000_000, Vector3::zeros());
+            estimator.imu(ImuSample { stamp_ns, gyroscope, accelerometer }).unwrap();
+        }
+        estimator
+    }
+
+    #[test]
+    fn a_correction_by_gnss_is_given_out_for_the_image_that_it_was_made_at() {
+        let mut estimator = estimator();
+        estimator.time_update(IMAGE_NS).unwrap();
+        assert_eq!(estimator.gnss_correction(), None);
+        let position = Vector3::new(0.02, 0.0, 0.0);
+        let covariance = Matrix3::identity() * 1e-4;
+        estimator.gnss(GnssReading { stamp_ns: 3 * IMAGE_NS / 2, position, covariance }).unwrap();
+        estimator.time_update(2 * IMAGE_NS).unwrap();
+        assert_eq!(estimator.gnss_counts().map(|counts| counts.used), Some(1));
+        let [before, after] = estimator.gnss_correction().unwrap();
+        assert_ne!(before.pose, after.pose);
+        assert_eq!(after, estimator.local_from_imu());
+        estimator.time_update(3 * IMAGE_NS).unwrap();
+        assert_eq!(estimator.gnss_correction(), None);
     }
 }

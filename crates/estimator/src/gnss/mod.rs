@@ -20,6 +20,7 @@ use crate::measurement::LinearizedMeasurement;
 use crate::state::{ActiveState, CloneId};
 use alignment::{Located, inflation};
 use config::GnssConfig;
+use geometry::PoseWithCovariance;
 use measurement::Between;
 use nalgebra::Matrix3;
 use report::GnssCounts;
@@ -74,6 +75,8 @@ pub(crate) struct Gnss {
     pub(crate) located: VecDeque<Located>,
     /// Time of the last reading that was used, nanoseconds.
     pub(crate) last_used_ns: Option<i64>,
+    /// Pose of the IMU in L before and after the updates at the newest image; `None` where there were none.
+    pub(crate) correction: Option<[PoseWithCovariance; 2]>,
     waiting: VecDeque<GnssReading>,
     newest_ns: Option<i64>,
     /// The newest clones with their times by the clock of the IMU.
@@ -90,6 +93,7 @@ impl Gnss {
             rows: LinearizedMeasurement::default(),
             located: VecDeque::new(),
             last_used_ns: None,
+            correction: None,
             waiting: VecDeque::new(),
             newest_ns: None,
             clones: VecDeque::new(),

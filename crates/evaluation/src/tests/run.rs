@@ -146,6 +146,10 @@ fn a_map_with_a_frame_of_its_own_is_compared_after_an_alignment_that_is_stated()
     let aligned = score.map_from_truth.unwrap();
     assert!(aligned.pose().local(&map_from_truth).amax() < 1e-6, "{aligned}");
     assert!(aligned.to_string().contains("aligned with it in yaw and position"));
+    // The alignment took the constant part of the errors in the map away.
+    let in_map = [score.transform.unwrap(), score.pose.unwrap()];
+    assert!(in_map.iter().all(|part| part.nees_pose.is_none() && part.nees_position.is_none()), "{in_map:?}");
+    assert!(score.local.nees_pose.is_some() && unaligned.pose.unwrap().nees_pose.is_some());
     for part in [Some(score.local), score.transform, score.pose] {
         assert!(part.unwrap().max_m < 1e-6, "{part:?}");
     }

@@ -88,6 +88,12 @@ fn remarks(runs: &VariantRuns, score: &EnsembleScore) -> Vec<String> {
     {
         remarks.push(format!("{} runs ended early; seed {}: {reason}", score.diverged, trial.seed));
     }
+    for kind in StateKind::ALL {
+        if let Some(output) = score.get(kind).filter(|output| output.pose.runs < score.runs) {
+            let (some, all) = (output.pose.runs, score.runs);
+            remarks.push(format!("{}: of {some} of {all} runs, the others have none", name_of(kind)));
+        }
+    }
     if score.not_localized > 0 {
         remarks.push(format!("{} runs were not localized at the end", score.not_localized));
     }

@@ -9,14 +9,14 @@ use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue}
 use ros_messages::std_msgs::Header;
 use std::time::{Duration, Instant};
 
-/// A status of this age is stale: the robot reads no images any more.
+/// A status is stale so long after the last image.
 const STALE: Duration = Duration::from_secs(2);
 
 /// The last status.
 #[derive(Clone, Debug)]
 pub struct Diagnostics {
-    /// When it was made.
-    pub made: Instant,
+    /// When the last image came; before the first one, when this was made.
+    pub last_image: Instant,
     /// The message.
     pub message: DiagnosticArray,
 }
@@ -31,7 +31,9 @@ impl Diagnostics {
         let StatusReport { status, queries, .. } = report;
         let assumed = body.mount.is_assumed().then_some(&body.frames.base_link);
         let level = match status.localization {
-            Localization::Localized | Localization::OdometryOnly if assumed.is_some() => {
+            Localization::Localized | Localization::OdometryOnly
+                if assumed.is_some() || report.has_sensor_fault =>
+            {
                 DiagnosticStatus::WARN
             }
             Localization::Localized => DiagnosticStatus::OK,
@@ -60,7 +62,7 @@ impl Diagnostics {
         };
         let stamp = Time::from_nanoseconds(stamp_ns).unwrap_or_default();
         let header = Header { stamp, frame_id: String::new() };
-        Self { made: Instant::now(), message: DiagnosticArray { header, status: vec![component] } }
+        Self { last_image: Instant::now(), message: DiagnosticArray { header, status: vec![component] } }
     }
 
     /// Whether level or state differ: the text holds numbers that change with every image.
@@ -74,11 +76,10 @@ impl Diagnostics {
     /// The message at a time.
     pub fn at(&self, now: Instant) -> DiagnosticArray {
         let mut message = self.message.clone();
-        if now.duration_since(self.made) > STALE {
+        if now.duration_since(self.last_image) > STALE {
             for status in &mut message.status {
                 status.level = DiagnosticStatus::STALE;
-                status.message =
-                    format!("no image for more than {} s; before: {}", STALE.as_secs(), status.message);
+                status.message = format!("no image for more than {} s; {}", STALE.as_secs(), status.message);
             }
         }
         message
@@ -118,6 +119,19 @@ mod tests {
     }
 
     #[test]
+    fn a_fault_of_a_sensor_is_a_warning() {
+        let level_of = |localization| {
+            let reason = "cam1: no images for 3 s".to_owned();
+            let status = Status { localization, reason, last_map_update_ns: None, held_keyframes: 3 };
+            let mut report = StatusReport::new(Some(5), status);
+            report.has_sensor_fault = true;
+            Diagnostics::of("cart7", true, &RosBody::default(), 5, &report).message.status[0].level
+        };
+        assert_eq!(level_of(Localization::Localized), DiagnosticStatus::WARN);
+        assert_eq!(level_of(Localization::Lost), DiagnosticStatus::ERROR);
+    }
+
+    #[test]
     fn a_frame_that_is_taken_to_be_the_imu_is_a_warning_until_it_is_stated() {
         let body = RosBody { mount: BaseMount::assumed(), ..RosBody::default() };
         let first_of =
@@ -143,8 +157,8 @@ mod tests {
     #[test]
     fn an_old_status_is_stale() {
         let last = diagnostics(true, Localization::Localized, "fine");
-        assert_eq!(last.at(last.made + STALE).status[0].level, DiagnosticStatus::OK);
-        let stale = last.at(last.made + STALE + Duration::from_millis(1));
+        assert_eq!(last.at(last.last_image + STALE).status[0].level, DiagnosticStatus::OK);
+        let stale = last.at(last.last_image + STALE + Duration::from_millis(1));
         assert_eq!(stale.status[0].level, DiagnosticStatus::STALE);
         assert!(stale.status[0].message.ends_with("fine"));
     }

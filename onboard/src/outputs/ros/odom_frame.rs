@@ -5,7 +5,7 @@ use nalgebra::{Matrix6, Vector3};
 
 /// The frame `odom`, in which the robot never jumps (REP-105).
 ///
-/// It is the estimator's L until a map update corrects the pose in L, or the estimator is initialized again: its new L
+/// It is the estimator's L until the map or GNSS corrects the pose in L, or the estimator is initialized again: its new L
 /// has another origin and yaw. `odom` is then placed so that the robot stays where it was. Both have z up, so only yaw and
 /// translation differ.
 #[derive(Clone, Debug, Default)]
@@ -23,7 +23,7 @@ impl OdomFrame {
         self.odom_from_local = None;
     }
 
-    /// The map corrected the pose of the IMU in L, at one time. What that took from its uncertainty stays in `odom`.
+    /// The map or GNSS corrected the pose of the IMU in L, at one time. What that took from its uncertainty stays in `odom`.
     pub fn correct(&mut self, before: &PoseWithCovariance, after: &PoseWithCovariance) {
         let Some(old) = self.odom_from_local else { return };
         if before.pose == after.pose {

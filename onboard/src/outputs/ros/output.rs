@@ -12,9 +12,9 @@ use robot::{Estimate, Output, PublishMotion, StatusReport};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::tf2_msgs::TFMessage;
-use sensors::CameraSensor;
+use sensors::{CameraSensor, Frame};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -45,7 +45,9 @@ pub struct RosOutput {
     queue: mpsc::Sender<Outgoing>,
     /// Added to all stamps, nanoseconds.
     clock_shift_ns: i64,
-    diagnostics: watch::Sender<Option<Diagnostics>>,
+    /// When the last image came.
+    last_image: Option<Instant>,
+    pub(super) diagnostics: watch::Sender<Option<Diagnostics>>,
     static_transforms: watch::Sender<TFMessage>,
     /// The cameras, where it was published where they are while the robot's frame was not known: it is again when that is.
     mounted: Option<Vec<CameraSensor>>,
@@ -72,8 +74,17 @@ impl RosOutput {
         let (static_transforms, mounting) = watch::channel(TFMessage::default());
         let changes = Changes { diagnostics: last, static_transforms: mounting };
         let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, changes)));
-        let (odom, clock_shift_ns, mounted) = (OdomFrame::default(), 0, None);
-        Ok((Self { settings, odom, queue, clock_shift_ns, diagnostics, static_transforms, mounted }, task))
+        let output = Self {
+            settings,
+            odom: OdomFrame::default(),
+            queue,
+            clock_shift_ns: 0,
+            last_image: None,
+            diagnostics,
+            static_transforms,
+            mounted: None,
+        };
+        Ok((output, task))
     }
 
     /// Publishes where the sensors are mounted, for those who come later as well.
@@ -86,6 +97,10 @@ impl RosOutput {
 }
 
 impl Output for RosOutput {
+    fn frame(&mut self, _: &Frame) {
+        self.last_image = Some(Instant::now());
+    }
+
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.
     fn estimate(&mut self, estimate: &Estimate) {
         let is_assumed = self.settings.body.mount.is_assumed();
@@ -128,7 +143,8 @@ impl Output for RosOutput {
     fn status(&mut self, report: &StatusReport) {
         let stamp_ns = report.stamp_or_now_ns().saturating_add(self.clock_shift_ns);
         let RosSettings { robot, map_expected, body, .. } = &*self.settings;
-        let new = Diagnostics::of(robot, *map_expected, body, stamp_ns, report);
+        let mut new = Diagnostics::of(robot, *map_expected, body, stamp_ns, report);
+        new.last_image = self.last_image.unwrap_or(new.last_image);
         self.diagnostics.send_if_modified(|last| {
             let changed = last.as_ref().is_none_or(|last| new.differs_from(last));
             *last = Some(new);

@@ -18,6 +18,7 @@ use ros_messages::nav_msgs::{Odometry, Path};
 use ros_messages::rosgraph_msgs::Clock;
 use ros_messages::tf2_msgs::TFMessage;
 use ros2::{Node, NodeOptions, Qos, Subscriber};
+use sensors::Frame;
 use std::time::Duration;
 
 /// Settings with a robot frame that is turned and moved against the IMU.
@@ -341,6 +342,27 @@ fn without_a_router_estimates_are_dropped_and_the_run_ends() {
         output.estimate(&estimate());
         output.status(&status_report());
     }
+    drop(output);
+    runtime.block_on(task.finish());
+}
+
+#[test]
+fn a_status_is_as_old_as_the_last_image() {
+    let runtime = runtime();
+    let mut settings = settings();
+    settings.session.connect = vec![endpoint()];
+    settings.session.mode = Some(SessionMode::Client);
+    let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
+    let last_image = |output: &RosOutput| output.diagnostics.borrow().as_ref().map(|last| last.last_image);
+    output.frame(&Frame::default());
+    output.status(&status_report());
+    let first = last_image(&output);
+    std::thread::sleep(Duration::from_millis(5));
+    output.status(&status_report());
+    assert_eq!(last_image(&output), first);
+    output.frame(&Frame::default());
+    output.status(&status_report());
+    assert!(last_image(&output) > first);
     drop(output);
     runtime.block_on(task.finish());
 }

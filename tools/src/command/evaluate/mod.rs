@@ -10,7 +10,6 @@ use evaluation::{
     Alignment, Delta, MAX_TRUTH_GAP_NS, NeesSum, Pair, ScoreOptions, absolute_errors, align, alignment_scale,
     associate, interpolate_reference, nees, nees_bounds, relative_errors,
 };
-use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -20,6 +19,9 @@ use report::{NeesReport, Report, print};
 
 /// Confidence of the bounds printed beside the NEES.
 const CONFIDENCE: f64 = 0.95;
+/// Why an aligned estimate has no NEES.
+const NO_NEES_ALIGNED: &str = "the alignment removes a part of the errors that the covariances include: use --align none, with poses in \
+                               the frame of the ground truth";
 
 /// How the estimate is aligned with the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -155,6 +157,8 @@ fn evaluate(args: &Args) -> anyhow::Result<Report> {
         read(&args.groundtruth, StateKind::GlobalFromImu).context("the ground truth cannot be read")?;
     let estimate = read(&args.estimate, args.state.into()).context("the estimate cannot be read")?;
     let (truth, mut estimate, pairs, scored) = paired(args, truth, estimate)?;
+    let is_aligned = args.align != AlignArgument::None;
+    let no_nees = (is_aligned && estimate.covariances.is_some()).then_some(NO_NEES_ALIGNED);
     let scale = match args.align {
         AlignArgument::Sim3 => Some(rescale(&truth, &mut estimate, &pairs)?),
         _ => None,
@@ -171,7 +175,7 @@ fn evaluate(args: &Args) -> anyhow::Result<Report> {
     let aligned = align(&positions, &alignment).context("the trajectories cannot be compared")?;
     let absolute = absolute_errors(&truth.poses, &estimate.poses, &pairs, &aligned);
     let relative = relative_errors(&truth.poses, &estimate.poses, &pairs, delta(args)?);
-    let (nees, nees_left_out) = consistency(&truth, &estimate, &pairs, &aligned);
+    let (nees, nees_left_out) = if is_aligned { (None, 0) } else { consistency(&truth, &estimate, &pairs) };
     Ok(Report {
         pairs: pairs.len(),
         scored,
@@ -181,6 +185,7 @@ fn evaluate(args: &Args) -> anyhow::Result<Report> {
         rpe_m: relative.translation(),
         rpe_deg: relative.rotation(),
         nees,
+        no_nees,
         nees_left_out,
     })
 }
@@ -197,12 +202,11 @@ fn positions(
     pairs.iter().map(of).collect()
 }
 
-/// Scales the estimate's positions so that they fit the truth best. Its covariances are not of the scaled poses.
+/// Scales the estimate's positions so that they fit the truth best.
 fn rescale(truth: &TrajectoryFile, estimate: &mut TrajectoryFile, pairs: &[Pair]) -> anyhow::Result<f64> {
     let scale = alignment_scale(&positions(truth, estimate, pairs))
         .context("the trajectories cannot be aligned in scale")?;
     estimate.poses.iter_mut().for_each(|row| row.pose.translation *= scale);
-    estimate.covariances = None;
     Ok(scale)
 }
 
@@ -305,7 +309,7 @@ fn delta(args: &Args) -> anyhow::Result<Delta> {
     })
 }
 
-/// NEES, where the estimate has covariances. Alignment moves them along.
+/// NEES, where the estimate has covariances, of poses in the frame of the truth.
 ///
 /// # Returns
 /// The NEES, and of how many poses the covariance is not positive definite, which are left out of it.
@@ -313,13 +317,12 @@ fn consistency(
     truth: &TrajectoryFile,
     estimate: &TrajectoryFile,
     pairs: &[Pair],
-    moved: &Pose,
 ) -> (Option<NeesReport>, usize) {
     let Some(covariances) = &estimate.covariances else { return (None, 0) };
     let mut sum = NeesSum::default();
     for pair in pairs {
         let pose = estimate.poses[pair.estimate].pose;
-        let state = PoseWithCovariance::new(pose, covariances[pair.estimate]).change_of_parent(moved);
+        let state = PoseWithCovariance::new(pose, covariances[pair.estimate]);
         if let Some(nees) = nees(&state, &truth.poses[pair.reference].pose) {
             sum.push(&nees);
         }
@@ -328,8 +331,8 @@ fn consistency(
     let report = sum.mean().map(|mean| NeesReport {
         mean,
         samples,
-        bounds_3: nees_bounds(3, samples, CONFIDENCE),
-        bounds_6: nees_bounds(6, samples, CONFIDENCE),
+        bounds_3: nees_bounds(3, 1, CONFIDENCE),
+        bounds_6: nees_bounds(6, 1, CONFIDENCE),
     });
     (report, pairs.len() - samples)
 }

@@ -19,11 +19,14 @@ pub(super) struct Report {
     pub(super) rpe_m: Option<Statistics>,
     pub(super) rpe_deg: Option<Statistics>,
     pub(super) nees: Option<NeesReport>,
+    /// Why there is no NEES, although the estimate has covariances.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) no_nees: Option<&'static str>,
     /// Poses that are not in the NEES, because their covariance is not positive definite.
     pub(super) nees_left_out: usize,
 }
 
-/// Consistency, with the bounds of as many *independent* samples.
+/// Consistency, with the bounds of one sample: the errors of one trajectory are correlated in time.
 #[derive(Debug, Serialize)]
 pub(super) struct NeesReport {
     #[serde(flatten)]
@@ -70,7 +73,7 @@ pub(super) fn print(report: &Report, args: &Args) {
             bounds.map_or_else(String::new, |(low, high)| format!(" ({low:.3} to {high:.3})"))
         };
         println!(
-            "NEES per degree of freedom, 1 is consistent (95 % bounds of {} independent samples): \
+            "NEES per degree of freedom over {} poses, 1 is consistent (95 % bounds of one sample: errors of one run are correlated): \
              rotation {:.3}{}, position {:.3}{}, pose {:.3}{}",
             nees.samples,
             nees.mean.rotation,
@@ -80,6 +83,9 @@ pub(super) fn print(report: &Report, args: &Args) {
             nees.mean.pose,
             bounds(nees.bounds_6)
         );
+    }
+    if let Some(reason) = report.no_nees {
+        println!("no NEES: {reason}");
     }
     if report.nees_left_out > 0 {
         println!(

@@ -3,6 +3,7 @@ use clap::Parser;
 use evaluation::score_run;
 use evaluation::trajectory::states::{self, StateRow};
 use evaluation::trajectory::{StampedPose, tum};
+use geometry::pose::Pose;
 use geometry::uncertain_pose::isotropic_covariance;
 use nalgebra::UnitQuaternion;
 use sensors::TruthRow;
@@ -109,6 +110,26 @@ fn kitti_is_paired_by_row_and_a_camera_without_scale_is_scaled() {
     let short: Vec<String> = rows(1.0).lines().take(29).map(str::to_owned).collect();
     std::fs::write(folder.path().join("short.txt"), short.join("\n")).unwrap();
     assert!(line("short.txt").contains("30 rows and the estimate 29"));
+}
+
+#[test]
+fn an_aligned_estimate_has_no_nees_and_the_bounds_are_those_of_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    files(folder.path());
+    let (truth, states) = (folder.path().join("truth.tum"), folder.path().join("states.csv"));
+    for align in ["yaw", "se3", "sim3"] {
+        let aligned = report(&truth, &states, &format!("--state local_from_imu --align {align}"));
+        assert!(aligned.nees.is_none() && aligned.no_nees.is_some(), "{align}");
+    }
+    let whole = report(&truth, &states, "");
+    assert!(whole.no_nees.is_none());
+    let nees = whole.nees.unwrap();
+    assert!(nees.samples > 100);
+    // The quantiles of chi-square with 6 degrees of freedom are 1.237 and 14.449.
+    let (low, high) = nees.bounds_6.unwrap();
+    assert!((low - 1.237 / 6.0).abs() < 1e-3 && (high - 14.449 / 6.0).abs() < 1e-3, "{low} to {high}");
+    // Without covariances there is nothing to explain.
+    assert!(report(&truth, &folder.path().join("odometry.tum"), "--align yaw").no_nees.is_none());
 }
 
 #[test]

@@ -49,8 +49,8 @@ impl FlightConditions {
                  walk.",
                 simulation.imu_rate_hz, self.imu_noise_scale
             ),
-            "Map: of a flight by images and IMU alone, without reference poses; its first keyframe defines its frame, in \
-             which the truth is placed."
+            "Map: of a flight by images and IMU alone, without reference poses; the truth is aligned with \
+             all of its keyframes, in yaw and position."
                 .to_owned(),
             format!(
                 "Robot: another flight, seed {}, initialized by itself at rest; each query is an image's features, over \

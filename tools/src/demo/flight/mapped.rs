@@ -2,8 +2,10 @@
 
 use crate::demo::{CREATED_BY, GRAVITY_IN_GLOBAL};
 use anyhow::{Context as _, Result};
-use geometry::{Pose, rotation};
+use evaluation::{Alignment, align};
+use geometry::Pose;
 use map::MapContents;
+use map::model::Keyframe;
 use map::store::save_map;
 use mapping::run_odometry;
 use mapping::{BuildOptions, Extraction, PosePriors, Stage, build_map_from_odometry};
@@ -80,7 +82,7 @@ impl MappedRoom {
             rmse_m: root_mean(errors.squares),
             sigma_m: root_mean(errors.variances),
         };
-        let position = |keyframe: &map::model::Keyframe| keyframe.global_from_keyframe.pose.translation;
+        let position = |keyframe: &Keyframe| keyframe.global_from_keyframe.pose.translation;
         let keyframes = contents.keyframes.iter().map(position).collect();
         Ok(Self { figures, keyframes, global_from_room: errors.global_from_room })
     }
@@ -103,22 +105,26 @@ struct MapErrors {
     variances: f64,
 }
 
-/// The errors of a map in its own frame, which position and yaw of its first keyframe define.
+/// The errors of a map in its own frame: the truth is aligned in yaw and position by all keyframes, as the map's covariance is relative
+/// to them as a whole.
 fn errors_in_own_frame(flight: &Sequence, contents: &MapContents) -> Option<MapErrors> {
     let track = TruthTrack::new(flight.groundtruth.as_deref()?);
     let imu_from_camera = flight.cameras[0].imu_from_camera;
     let true_camera = |stamp_ns: i64| Some(track.pose(stamp_ns, 0)?.compose(&imu_from_camera));
-    let first = contents.keyframes.iter().min_by_key(|keyframe| keyframe.stamp_ns)?;
-    let (stored, truth) = (&first.global_from_keyframe.pose, true_camera(first.stamp_ns)?);
-    let turn = rotation::log(&(stored.rotation * truth.rotation.inverse()));
-    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
-    let global_from_room = Pose::new(yaw, stored.translation - yaw * truth.translation);
+    let positions = |keyframe: &Keyframe| {
+        let truth = true_camera(keyframe.stamp_ns)?.translation;
+        Some((keyframe.global_from_keyframe.pose.translation, truth))
+    };
+    let pairs: Vec<_> = contents.keyframes.iter().map(positions).collect::<Option<_>>()?;
+    let yaw = Alignment::Yaw {
+        gravity_in_reference: contents.info.gravity_in_global.unwrap_or(GRAVITY_IN_GLOBAL),
+        gravity_in_estimate: GRAVITY_IN_GLOBAL,
+    };
+    let global_from_room = align(&pairs, &yaw).ok()?;
     let (mut squares, mut variances) = (0.0, 0.0);
-    for keyframe in &contents.keyframes {
-        let estimate = &keyframe.global_from_keyframe;
-        let truth = global_from_room.transform(&true_camera(keyframe.stamp_ns)?.translation);
-        squares += (estimate.pose.translation - truth).norm_squared();
-        variances += estimate.covariance.fixed_view::<3, 3>(3, 3).trace();
+    for ((estimate, truth), keyframe) in pairs.iter().zip(&contents.keyframes) {
+        squares += (estimate - global_from_room.transform(truth)).norm_squared();
+        variances += keyframe.global_from_keyframe.covariance.fixed_view::<3, 3>(3, 3).trace();
     }
     Some(MapErrors { global_from_room, squares, variances })
 }
