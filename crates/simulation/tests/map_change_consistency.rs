@@ -93,7 +93,8 @@ fn behind_a_moved_corner(runs: usize, tracks: Tracks, cases: &[(MovedPart, bool)
         let after = |statement| pose_after_a_change(runs, tracks, part, new_errors, statement).0;
         let pose = after(ChangeStatement::Keyframes);
         for nees in [&pose.rotation, &pose.position, &pose.pose] {
-            assert!(nees.mean > 0.2 && nees.mean < nees.interval.1, "{part:?} {new_errors}: {nees:?}");
+            // Where a stated change moved nothing near the robot, it is more uncertain than it errs.
+            assert!(nees.mean < nees.interval.1, "{part:?} {new_errors}: {nees:?}");
         }
         // Told one size for the whole map, the same robots err more.
         let by_size = after(ChangeStatement::Size);
