@@ -137,6 +137,7 @@ impl Input {
     fn open(arguments: &Arguments, stop: &StopSignal, runtime: &NetworkRuntime) -> Result<Self> {
         Ok(match (arguments.source, &arguments.sequence) {
             (Source::Recording, Some(sequence)) => {
+                arguments.live.warn_of_recording();
                 let files = arguments.robot.recording_files(&arguments.calibration)?;
                 Self::Recording(Box::new(Recording::open_with(sequence, &files)?))
             }

@@ -18,6 +18,7 @@ mod error;
 mod imu_intrinsics;
 pub mod kalibr;
 mod mount;
+mod noise_check;
 pub mod numbers;
 pub mod sensor_yaml;
 mod sensors;

@@ -2,6 +2,7 @@
 
 use crate::CalibrationError;
 use crate::mount::checked_mount;
+use crate::noise_check::warn_of_implausible;
 use crate::numbers::list;
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
@@ -67,7 +68,7 @@ impl NoiseYaml {
     }
 }
 
-/// The noise of an IMU, checked.
+/// The noise of an IMU, checked; values that are unusual are warned of.
 ///
 /// # Arguments
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
@@ -75,6 +76,7 @@ pub(crate) fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuN
     for (name, value) in densities {
         check_positive(path, name, value)?;
     }
+    warn_of_implausible(path, &densities);
     let mut noise = ImuNoise::default();
     [noise.gyroscope, noise.gyroscope_walk, noise.accelerometer, noise.accelerometer_walk] =
         densities.map(|(_, value)| value);

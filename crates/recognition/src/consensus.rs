@@ -1,9 +1,9 @@
 //! One place or none: verified keyframes must agree on the camera pose.
 //!
 //! Keyframes of two halls that look alike are both verified. The places are distinguished by the camera pose in G that
-//! each keyframe implies: keyframes of which each agrees with all others form a place, the place that explains most query
-//! features is selected, and where another explains nearly as many the query is ambiguous. Two keyframes of a map may err
-//! together by metres: whether they agree is a matter of the covariance of their difference.
+//! each keyframe implies: keyframes that agree form a place, the place that explains most query features is selected, and
+//! where another explains nearly as many the query is ambiguous. Two keyframes of a map may err together by metres: whether
+//! they agree is a matter of the covariance of their difference.
 
 use geometry::{Pose, PoseWithCovariance, compose_jacobians};
 use nalgebra::{Matrix6, Vector6};
@@ -32,15 +32,16 @@ pub(crate) enum Consensus {
 /// # Arguments
 /// * `places`: from [`group_places`] of the same keyframes.
 /// * `hypotheses`: what the first of them explain.
+/// * `prior`: see [`has_rival`].
 pub(crate) fn find_consensus(
-    map: &LoadedMap,
     mut verified: Vec<VerifiedKeyframe>,
     places: &[Vec<usize>],
     hypotheses: &[Hypothesis],
+    prior: Option<&PoseWithCovariance>,
     options: &RecognitionOptions,
 ) -> Consensus {
     let Some(winner) = places.first() else { return Consensus::Nothing };
-    if has_rival(map, &verified, places, hypotheses, options) {
+    if has_rival(&verified, places, hypotheses, prior, options) {
         let global_from_camera = verified[winner[0]].global_from_camera;
         let place = RecognizedPlace { global_from_camera, features: support(&verified, winner) };
         return Consensus::Ambiguous(Box::new(place));
@@ -53,28 +54,35 @@ pub(crate) fn find_consensus(
     Consensus::Place(verified)
 }
 
-/// Whether another place explains an image nearly as well as the first one does. One whose best keyframe agrees with that of
-/// the first is no other place.
+/// Whether another place explains an image nearly as well as the first one does.
+///
+/// # Arguments
+/// * `prior`: where it is narrow enough to tell places apart; one that contradicts it is no rival of one that does not.
 pub(crate) fn has_rival(
-    map: &LoadedMap,
     verified: &[VerifiedKeyframe],
     places: &[Vec<usize>],
     hypotheses: &[Hypothesis],
+    prior: Option<&PoseWithCovariance>,
     options: &RecognitionOptions,
 ) -> bool {
     let Some(winner) = places.first() else { return false };
     let least = options.ambiguity_ratio * support(verified, winner) as f64;
+    let is_near = |place: &[usize], prior: &PoseWithCovariance| {
+        place.iter().any(|&at| is_consistent(&verified[at].global_from_camera, prior, options))
+    };
+    let near = prior.filter(|prior| is_near(winner, prior));
     places.iter().enumerate().skip(1).any(|(number, rival)| {
         let is_less_likely = hypotheses
             .get(number)
             .is_some_and(|rival| hypotheses[0].log_odds() - rival.log_odds() >= options.min_fix_log_odds);
-        let is_elsewhere = || !agree(map, &verified[winner[0]], &verified[rival[0]], options);
-        !is_less_likely && support(verified, rival) as f64 >= least && is_elsewhere()
+        let is_excluded = || near.is_some_and(|prior| !is_near(rival, prior));
+        !is_less_likely && support(verified, rival) as f64 >= least && !is_excluded()
     })
 }
 
 /// Sorts verified keyframes, most inliers first, and groups those that agree on a place: the place that explains most query
-/// features first, each with its keyframes of most inliers first.
+/// features first, each with its keyframes of most inliers first. A place is told by that keyframe which constrains the pose best
+/// among those that all agree, and has all that agree with this one.
 pub(crate) fn group_places(
     map: &LoadedMap,
     verified: &mut [VerifiedKeyframe],
@@ -97,11 +105,24 @@ pub(crate) fn group_places(
         let supported = candidates.map(|members| (support(verified, &members), members));
         // Of equal support the first, whose seed has most inliers.
         let best = supported.reduce(|best, next| if next.0 > best.0 { next } else { best });
-        let place = best.map(|(_, members)| members).unwrap_or_default();
-        rest.retain(|at| !place.contains(at));
+        let members = best.map(|(_, members)| members).unwrap_or_default();
+        let Some(anchor) = members
+            .iter()
+            .copied()
+            .min_by(|&a, &b| position_variance(&verified[a]).total_cmp(&position_variance(&verified[b])))
+        else {
+            break;
+        };
+        let (place, others) = rest.into_iter().partition(|&at| at == anchor || agreeing[at * count + anchor]);
+        rest = others;
         places.push(place);
     }
     places
+}
+
+/// Sum of the variances of the camera's position in the keyframe's frame, square metres.
+fn position_variance(found: &VerifiedKeyframe) -> f64 {
+    found.keyframe_from_camera.covariance.fixed_view::<3, 3>(3, 3).trace()
 }
 
 /// The keyframes that agree with a seed and with each other, in their order. A keyframe that hardly constrains the pose agrees with
@@ -205,16 +226,127 @@ fn is_within(a: &Pose, b: &Pose, covariance: &Matrix6<f64>, options: &Recognitio
 
 #[cfg(test)]
 mod tests {
+    use geometry::rotation;
+    use map::CommonError;
+    use nalgebra::{Matrix6xX, Vector3};
+    use testing::{Place, PlaceOptions};
+    use vision::Match;
+
     use super::*;
 
+    /// A map whose keyframes err by 5 m along x, together or each by itself.
+    fn map(together: bool) -> LoadedMap {
+        let options = PlaceOptions { keyframes: 3, landmarks: 50, ..PlaceOptions::default() };
+        let mut contents = Place::new(&options).map;
+        let mut factor = Matrix6xX::zeros(1);
+        factor[3] = 5.0;
+        let error = &factor * factor.transpose() + Matrix6::identity() * 1e-6;
+        let common = |keyframe| CommonError { keyframe, factor: factor.clone() };
+        contents.cross_covariances.clear();
+        contents.common_errors = contents.keyframes.iter().map(|keyframe| common(keyframe.id)).collect();
+        contents.common_errors.retain(|_| together);
+        for keyframe in &mut contents.keyframes {
+            keyframe.global_from_keyframe.covariance = error;
+        }
+        LoadedMap::from_contents(contents).unwrap()
+    }
+
+    /// What a keyframe finds with some inliers: the camera at `x` (m) in G, by the pixels with a standard deviation of `sigma` (m).
+    fn found(map: &LoadedMap, keyframe: usize, [x, sigma]: [f64; 2], inliers: usize) -> VerifiedKeyframe {
+        let own = &map.poses.keyframes[keyframe].global_from_keyframe;
+        let camera = Pose::new(rotation::exp(&Vector3::zeros()), Vector3::new(x, 0.0, 0.0));
+        let covariance = Vector6::new(1e-6, 1e-6, 1e-6, sigma * sigma, sigma * sigma, sigma * sigma);
+        let keyframe_from_camera =
+            PoseWithCovariance::new(own.pose.inverse().compose(&camera), Matrix6::from_diagonal(&covariance));
+        let features = 100 * keyframe..100 * keyframe + inliers;
+        VerifiedKeyframe {
+            keyframe,
+            inliers: features.map(|query| Match { query, train: query, distance: 0.0 }).collect(),
+            matches: Vec::new(),
+            points: Vec::new(),
+            global_from_camera: own.compose(&keyframe_from_camera),
+            keyframe_from_camera,
+            mean_error_px: 1.0,
+        }
+    }
+
     #[test]
-    fn a_keyframe_that_agrees_with_two_places_does_not_make_them_one() {
-        // 0 and 1 contradict each other; 2, which hardly constrains the pose, contradicts neither.
-        let agree = |a: usize, b: usize| a.min(b) != 0 || a.max(b) != 1;
-        assert_eq!(members_of(0, &[0, 1, 2], agree), [0, 2]);
-        assert_eq!(members_of(1, &[0, 1, 2], agree), [1, 2]);
-        assert_eq!(members_of(2, &[0, 1, 2], agree), [0, 2]);
-        assert_eq!(members_of(2, &[1, 2], agree), [1, 2]);
+    fn keyframes_that_err_together_by_metres_tell_places_apart_that_are_a_metre_apart() {
+        let options = RecognitionOptions::default();
+        for (together, apart_m, expected) in
+            [(true, 0.3, true), (true, 1.0, false), (false, 1.0, true), (false, 50.0, false)]
+        {
+            let map = map(together);
+            let [a, b] = [0, 1].map(|at| found(&map, at, [at as f64 * apart_m, 0.01], 20));
+            assert_eq!(agree(&map, &a, &b, &options), expected, "{together} {apart_m}");
+            assert_eq!(agree(&map, &b, &a, &options), expected, "{together} {apart_m}");
+            assert!(agree(&map, &a, &a, &options));
+        }
+    }
+
+    #[test]
+    fn the_covariance_of_a_difference_is_that_of_the_errors_of_both() {
+        let map = map(true);
+        let [a, b] = [(0, 2.0), (1, 4.0)].map(|(at, x)| found(&map, at, [x, 0.01], 20));
+        let of = |found: &VerifiedKeyframe| (found.keyframe, found.keyframe_from_camera);
+        let stated = difference_covariance(&map, &of(&a), &of(&b));
+        // A shared displacement cancels; what is left is the pixels' and the keyframes' own.
+        assert!(stated[(3, 3)] < 0.1 && stated[(3, 3)] > 2e-4, "{stated}");
+        // The numeric derivative by the error of one keyframe.
+        let pose_of = |error: &Vector6<f64>| {
+            let own = &map.poses.keyframes[0].global_from_keyframe.pose;
+            own.retract(error).compose(&a.keyframe_from_camera.pose)
+        };
+        let (by_keyframe, _) = compose_jacobians(
+            &map.poses.keyframes[0].global_from_keyframe.pose,
+            &a.keyframe_from_camera.pose,
+        );
+        for axis in 0..6 {
+            let step = Vector6::ith(axis, 1e-6);
+            let numeric = pose_of(&-step).local(&pose_of(&step)) / 2e-6;
+            assert!((numeric - by_keyframe.column(axis)).norm() < 1e-5, "{axis}");
+        }
+    }
+
+    #[test]
+    fn a_keyframe_that_hardly_constrains_the_pose_does_not_make_two_places_one() {
+        let options = RecognitionOptions::default();
+        let map = map(true);
+        for (weak, [a, b]) in [(0, [1, 2]), (2, [0, 1]), (1, [0, 2])] {
+            // The earlier a keyframe, the more inliers it has here.
+            let inliers = |at: usize| 40 - at;
+            let mut verified = vec![
+                found(&map, weak, [1.5, 2.0], inliers(weak)),
+                found(&map, a, [0.0, 0.01], inliers(a)),
+                found(&map, b, [3.0, 0.01], inliers(b)),
+            ];
+            let places = group_places(&map, &mut verified, &options);
+            assert_eq!(places.len(), 2, "{weak}: {places:?}");
+            assert!(has_rival(&verified, &places, &[], None, &options), "{weak}");
+        }
+    }
+
+    #[test]
+    fn a_place_that_contradicts_the_prior_is_no_rival_of_one_that_does_not() {
+        let options = RecognitionOptions::default();
+        let mut contents = Place::new(&PlaceOptions { keyframes: 2, ..PlaceOptions::default() }).map;
+        contents.cross_covariances.clear();
+        contents.common_errors.clear();
+        for keyframe in &mut contents.keyframes {
+            keyframe.global_from_keyframe.covariance = Matrix6::identity() * 1e-6;
+        }
+        let map = LoadedMap::from_contents(contents).unwrap();
+        let mut verified = vec![found(&map, 0, [0.0, 0.01], 40), found(&map, 1, [3.0, 0.01], 39)];
+        let places = group_places(&map, &mut verified, &options);
+        let prior_at = |x: f64| {
+            let pose = Pose::new(rotation::exp(&Vector3::zeros()), Vector3::new(x, 0.0, 0.0));
+            PoseWithCovariance::new(pose, Matrix6::identity() * 0.01)
+        };
+        let rivals = |prior: Option<&PoseWithCovariance>| has_rival(&verified, &places, &[], prior, &options);
+        assert!(rivals(None));
+        assert!(!rivals(Some(&prior_at(0.0))));
+        // Nothing that explains less makes up for a first place that the prior does not support.
+        assert!(rivals(Some(&prior_at(3.0))) && rivals(Some(&prior_at(1.5))));
     }
 
     #[test]

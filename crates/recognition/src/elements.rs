@@ -3,15 +3,12 @@
 //! A map has some five observations a landmark and hundreds a keyframe: one allocation each would take more memory than
 //! what it holds.
 
-use geometry::{Camera, Pose};
-use map::model::{Landmark, Observation};
-use nalgebra::{Vector2, Vector3};
+use geometry::Pose;
+use map::model::{Keyframe, Landmark, Observation};
+use nalgebra::Vector3;
 use protocol::LandmarkId;
 use serde::{Deserialize, Serialize};
 use vision::DescriptorError;
-
-/// Smallest depth (m) at which a point counts as in front of a camera: less is a division by nearly zero.
-const MIN_DEPTH: f64 = 1e-3;
 
 /// Where a camera is and where it looks: what a search near a prior reads of every keyframe.
 #[derive(Serialize, Deserialize)]
@@ -190,20 +187,12 @@ impl Observed<'_> {
 }
 
 /// A landmark in the camera frame of a keyframe that is not its anchor: on the ray of the keyframe's own pixel, at
-/// the depth that the map gives.
-///
-/// Both keyframe poses are uncertain (0.1 m and 0.9 deg in recorded maps), so the transformed position alone would
-/// miss the pixel that the keyframe really observed by tens of pixels. Its direction is known from that pixel, and only
-/// its depth must come through the poses.
+/// the depth that the map gives, see [`Keyframe::point_on_ray`].
 pub(crate) fn point_in_keyframe(
-    camera: &Camera,
-    global_from_keyframe: &Pose,
+    keyframe: &Keyframe,
     position_in_global: &Vector3<f64>,
     pixel: [f32; 2],
 ) -> Vector3<f64> {
-    let transformed = global_from_keyframe.inverse_transform(position_in_global);
-    match camera.unproject(&Vector2::from(pixel.map(f64::from))) {
-        Ok(ray) if transformed.z > MIN_DEPTH => ray.push(1.0) * transformed.z,
-        _ => transformed,
-    }
+    let transformed = || keyframe.global_from_keyframe.pose.inverse_transform(position_in_global);
+    keyframe.point_on_ray(pixel, position_in_global).unwrap_or_else(transformed)
 }

@@ -156,7 +156,7 @@ impl LoadedMap {
         };
         let in_answer: HashSet<KeyframeId> = agreeing().map(|candidate| candidate.keyframe).collect();
         for keyframe in &mut compared {
-            keyframe.in_answer = in_answer.contains(&keyframe.id);
+            keyframe.in_answer = reply.fix.is_some() && in_answer.contains(&keyframe.id);
         }
         let best = reply.fix.as_ref().map(|fix| fix.keyframe);
         let rank = |keyframe: &InspectedKeyframe| {

@@ -312,9 +312,8 @@ impl LoadedMap {
             return *position_in_anchor;
         }
         let in_global = self.landmark_position(landmark);
-        let Keyframe { global_from_keyframe, camera, .. } = &self.poses.keyframes[keyframe];
         // Rounded to `f32`, 6e-8 of the distance.
-        point_in_keyframe(camera, &global_from_keyframe.pose, &in_global, observed.pixels[at])
+        point_in_keyframe(&self.poses.keyframes[keyframe], &in_global, observed.pixels[at])
             .map(|number| f64::from(number as f32))
     }
 }

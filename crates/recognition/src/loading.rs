@@ -5,7 +5,7 @@
 use std::sync::{Arc, OnceLock};
 
 use map::contents::{MapContents, validate_added_landmark, validate_landmark};
-use map::model::{Keyframe, KeyframeAliases, Landmark, MapMetadata};
+use map::model::{KeyframeAliases, Landmark, MapMetadata};
 use nalgebra::Vector3;
 use protocol::{LandmarkId, MapIdentity};
 use vision::DescriptorError;
@@ -141,11 +141,10 @@ impl MapLoader {
         let mut observers = Vec::with_capacity(landmark.observations.len());
         for observation in &landmark.observations {
             let Some(at) = map.index_of(observation.keyframe) else { continue };
-            let Keyframe { global_from_keyframe, camera, .. } = &map.poses.keyframes[at];
             let point = if at == anchor {
                 landmark.position_in_anchor
             } else {
-                point_in_keyframe(camera, &global_from_keyframe.pose, &position_in_global, observation.pixel)
+                point_in_keyframe(&map.poses.keyframes[at], &position_in_global, observation.pixel)
             };
             self.distances.push(length(&point));
             map.observations.set(at, self.filled[at] as usize, number, observation);

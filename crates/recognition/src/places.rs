@@ -83,7 +83,7 @@ impl LoadedMap {
         let mut verified = map.verified_keyframes(&image, |_| true, options)?;
         let groups = group_places(map, &mut verified, options);
         let hypotheses = map.hypotheses(&image, &verified, &groups, map.aliasing_rate().log_odds());
-        let is_certain = !has_rival(map, &verified, &groups, &hypotheses, options)
+        let is_certain = !has_rival(&verified, &groups, &hypotheses, None, options)
             && hypotheses.first().is_some_and(|place| place.log_odds() >= options.min_fix_log_odds);
         let is_told_apart = |at: usize| is_certain && groups[0].contains(&at);
         let weighed = |(at, found)| (VerifiedPlace::new(map, found), is_told_apart(at));

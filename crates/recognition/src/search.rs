@@ -77,8 +77,7 @@ struct Sufficient<'a> {
 }
 
 impl Sufficient<'_> {
-    /// Whether enough keyframes are verified, and all of them agree with the prior, or without one with the first. A prior that leaves
-    /// room for another place that looks alike makes nothing needless.
+    /// Whether enough keyframes are verified, and all of them agree with a tight prior, or without one with the first.
     fn is_reached(
         &self,
         map: &LoadedMap,
@@ -86,11 +85,15 @@ impl Sufficient<'_> {
         options: &RecognitionOptions,
     ) -> bool {
         let Some(first) = verified.first().filter(|_| verified.len() >= self.enough) else { return false };
-        let Some(prior) = self.prior else {
-            return verified.iter().all(|keyframe| agree(map, first, keyframe, options));
-        };
-        prior_radius(prior) <= OTHER_PLACE * map.viewing_distance()
-            && verified.iter().all(|keyframe| is_consistent(&keyframe.global_from_camera, prior, options))
+        verified.iter().all(|keyframe| match self.tight_prior(map) {
+            Some(prior) => is_consistent(&keyframe.global_from_camera, prior, options),
+            None => agree(map, first, keyframe, options),
+        })
+    }
+
+    /// The prior, where no other place that looks alike could be within it.
+    fn tight_prior(&self, map: &LoadedMap) -> Option<&PoseWithCovariance> {
+        self.prior.filter(|prior| prior_radius(prior) <= OTHER_PLACE * map.viewing_distance())
     }
 }
 
@@ -223,7 +226,7 @@ impl LoadedMap {
     /// Compares an image with each candidate and finds the one place that they agree on.
     ///
     /// Where enough of them agree, the candidates that remain matter only if they are of another place, which makes the
-    /// answer ambiguous; with a prior not even these.
+    /// answer ambiguous; with a tight prior not even these.
     ///
     /// # Arguments
     /// * `report`: of each candidate, in the same order.
@@ -242,7 +245,7 @@ impl LoadedMap {
         let mut of_the_place: Option<Vec<bool>> = None;
         for (&candidate, report) in candidates.iter().zip(report.iter_mut()) {
             if of_the_place.is_none() && sufficient.is_reached(self, &verified, options) {
-                if sufficient.prior.is_some() {
+                if sufficient.tight_prior(self).is_some() {
                     break;
                 }
                 of_the_place = Some(self.near(&verified[0].global_from_camera));
@@ -265,7 +268,8 @@ impl LoadedMap {
         let places = group_places(self, &mut verified, options);
         let log_prior_odds = self.aliasing_rate().log_odds();
         let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
-        let place = match find_consensus(self, verified, &places, &hypotheses, options) {
+        let telling = sufficient.prior.filter(|prior| prior_radius(prior) <= self.viewing_distance());
+        let place = match find_consensus(verified, &places, &hypotheses, telling, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
                 strongest = Some(*place);

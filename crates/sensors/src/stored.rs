@@ -151,9 +151,18 @@ impl Sequence {
     /// # Errors
     /// As [`Sequence::open`].
     pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        Self::open_with_offset(root, files).map(|(sequence, _)| sequence)
+    }
+
+    /// [`Sequence::open_with`], and what was added to the recorded stamps of the frames, nanoseconds, as
+    /// [`Recording::time_offset_ns`](crate::Recording::time_offset_ns).
+    ///
+    /// # Errors
+    /// As [`Sequence::open`].
+    pub fn open_with_offset(root: &Path, files: &CalibrationFiles) -> Result<(Self, i64), SequenceError> {
         let mut imu_samples = Vec::new();
-        let sequence = Self::read(root, files, |sample| imu_samples.push(*sample))?;
-        Ok(Self { imu_samples, ..sequence })
+        let (sequence, time_offset_ns) = Self::read(root, files, |sample| imu_samples.push(*sample))?;
+        Ok((Self { imu_samples, ..sequence }, time_offset_ns))
     }
 
     /// [`Sequence::open_with`] without the readings of the IMU, which are checked and not kept: `imu_samples` is empty.
@@ -163,15 +172,15 @@ impl Sequence {
     /// # Errors
     /// As [`Sequence::open`].
     pub fn open_without_readings(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
-        Self::read(root, files, |_| {})
+        Self::read(root, files, |_| {}).map(|(sequence, _)| sequence)
     }
 
-    /// Reads and checks everything; the readings of the IMU go to `keep`.
+    /// Reads and checks everything; the readings of the IMU go to `keep`. Beside it what was added to the stamps of the frames.
     fn read(
         root: &Path,
         files: &CalibrationFiles,
         mut keep: impl FnMut(&ImuSample),
-    ) -> Result<Self, SequenceError> {
+    ) -> Result<(Self, i64), SequenceError> {
         let (stored, SensorCalibration { imu, cameras, wheels, gnss }) = open(root, files)?;
         let mut clocks = ClockCheck::default();
         check_readings(&*stored, imu.as_ref(), |reading| {
@@ -188,7 +197,7 @@ impl Sequence {
         }
         clocks.finish(root)?;
         let groundtruth: Vec<TruthRow> = stored.truth()?.collect::<Result<_, _>>()?;
-        Ok(Self {
+        let sequence = Self {
             root: root.to_path_buf(),
             imu,
             imu_samples: Vec::new(),
@@ -200,6 +209,7 @@ impl Sequence {
             frames,
             groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),
             reference_poses: stored.reference_poses()?,
-        })
+        };
+        Ok((sequence, stored.time_offset_ns()))
     }
 }

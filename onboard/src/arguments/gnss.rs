@@ -13,10 +13,10 @@ const HEADING: &str = "GNSS";
 #[derive(Args, Clone, Debug, Default)]
 pub struct GnssArguments {
     /// Topic of GNSS (sensor_msgs/NavSatFix) in a bag, or with --source ros2 [default: none]
-    #[arg(long, value_name = "TOPIC", requires = "gnss_origin", help_heading = HEADING)]
+    #[arg(long, value_name = "TOPIC", help_heading = HEADING)]
     pub gnss_topic: Option<String>,
     /// Origin of the frame of the positions of --gnss-topic, or of --source native, which is that of the map: degrees, degrees, metres
-    /// above the ellipsoid
+    /// above the ellipsoid [default: that of gnss0/sensor.yaml in the folder of --calibration]
     #[arg(long, value_name = "LAT,LON,ALT", value_delimiter = ',', allow_hyphen_values = true, help_heading = HEADING)]
     pub gnss_origin: Vec<f64>,
     /// Where the antenna is in the frame of the IMU, metres [default: that of gnss0/sensor.yaml, or of a bag's /tf_static]
@@ -34,7 +34,7 @@ pub struct GnssArguments {
 }
 
 impl GnssArguments {
-    /// Names the topic and the origin of its positions in a recording.
+    /// Names the topic and the origin of its positions in a recording; one that is not given is looked for in its calibration.
     ///
     /// # Errors
     /// The origin is no place on the earth.
@@ -69,10 +69,16 @@ impl GnssArguments {
     /// How live positions are taken in: the origin of the switches, else that of the calibration.
     ///
     /// # Errors
-    /// As [`Self::origin`].
+    /// As [`Self::origin`]; a topic is named, and nothing states an origin.
     pub fn live_sensor(&self, calibrated: Option<GnssSensor>) -> Result<GnssSensor> {
         let sensor = calibrated.unwrap_or_default();
-        Ok(GnssSensor { origin: self.origin()?.or(sensor.origin), ..sensor })
+        let origin = self.origin()?.or(sensor.origin);
+        ensure!(
+            self.gnss_topic.is_none() || origin.is_some(),
+            "--gnss-topic: the origin of the frame of its positions is not known: give --gnss-origin, or origin in mav0/gnss0/sensor.yaml of \
+             the folder of --calibration"
+        );
+        Ok(GnssSensor { origin, ..sensor })
     }
 
     /// Whether a robot is told where its antenna is: by the switches, by its calibration or by the estimator's settings, which have it.
@@ -131,16 +137,21 @@ mod tests {
     }
 
     #[test]
-    fn a_topic_needs_an_origin_on_the_earth() {
+    fn a_topic_needs_an_origin_on_the_earth_by_the_switch_or_the_calibration() {
         let mut files = CalibrationFiles::default();
         given("--gnss-topic /fix --gnss-origin -33.9,151.2,40").name_topic(&mut files).unwrap();
         assert_eq!(files.gnss_topic.as_deref(), Some("/fix"));
         assert_eq!(files.gnss_origin.map(|origin| origin.latitude_deg), Some(-33.9));
         assert!(given("--gnss-topic /fix --gnss-origin 151.2,-33.9,40").name_topic(&mut files).is_err());
-        assert!(Line::try_parse_from(["robot", "--gnss-topic", "/fix"]).is_err());
+        given("--gnss-topic /fix").name_topic(&mut files).unwrap();
+        assert_eq!(files.gnss_origin, None, "it may be in the calibration");
         assert!(given("--gnss-origin 48,11,500").name_topic(&mut CalibrationFiles::default()).is_err());
         let native = given("--gnss-origin 48,11,500").live_sensor(None).unwrap();
         assert_eq!(native.origin.map(|origin| origin.altitude_m), Some(500.0));
+        let topic = given("--gnss-topic /fix");
+        assert_eq!(topic.live_sensor(Some(native)).unwrap(), native);
+        let unknown = topic.live_sensor(Some(GnssSensor::default())).unwrap_err().to_string();
+        assert!(unknown.contains("--gnss-origin") && unknown.contains("gnss0/sensor.yaml"), "{unknown}");
     }
 
     #[test]

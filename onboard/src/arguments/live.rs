@@ -8,6 +8,9 @@ use client::SessionOptions;
 use sensors::FolderCalibration;
 use sensors::live::{LiveFrames, LiveSettings, Stream};
 
+/// Frames that may wait for the estimator.
+const DEFAULT_WAITING_FRAMES: usize = 5;
+
 /// How live sensors are taken.
 #[derive(Args, Clone, Debug)]
 pub struct LiveArguments {
@@ -26,7 +29,7 @@ pub struct LiveArguments {
     pub sensors_connect: Option<String>,
     /// Live frames that may wait for the estimator, of each of several cameras that are triggered apart; beyond, the oldest is
     /// dropped
-    #[arg(long, value_name = "N", default_value_t = 5, help_heading = INPUT)]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_WAITING_FRAMES, help_heading = INPUT)]
     pub max_waiting_frames: usize,
 }
 
@@ -50,6 +53,26 @@ impl LiveArguments {
         Ok(settings)
     }
 
+    /// The switches that differ from their defaults and have no effect where a recording is played.
+    fn unused_by_recording(&self) -> Vec<&'static str> {
+        let switches = [
+            ("--live-frames", self.live_frames != FrameKind::default()),
+            ("--max-waiting-frames", self.max_waiting_frames != DEFAULT_WAITING_FRAMES),
+        ];
+        switches.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
+    }
+
+    /// Warns of switches that have no effect where a recording is played.
+    pub fn warn_of_recording(&self) {
+        let unused = self.unused_by_recording();
+        if !unused.is_empty() {
+            tracing::warn!(
+                "{}: this is about live sensors, and a recording is played: leave it out, or name the sensors with --source",
+                unused.join(", ")
+            );
+        }
+    }
+
     /// The session that native sensors come over, where they have one of their own.
     pub fn session(&self) -> Option<SessionOptions> {
         let [listen, connect] =
@@ -67,5 +90,30 @@ impl LiveArguments {
         let wheels = settings.wheels.map(|_| Stream::Wheels);
         let gnss = settings.gnss.then_some(Stream::Gnss);
         std::iter::once(Stream::Imu).chain(frames).chain(wheels).chain(gnss).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        live: LiveArguments,
+    }
+
+    #[test]
+    fn switches_that_have_no_effect_on_a_recording_are_named() {
+        let unused = |line: &str| {
+            let line = std::iter::once("robot").chain(line.split_whitespace());
+            Line::try_parse_from(line).unwrap().live.unused_by_recording()
+        };
+        assert!(unused("").is_empty() && unused("--live-frames images").is_empty());
+        assert_eq!(
+            unused("--live-frames tracks --max-waiting-frames 9"),
+            ["--live-frames", "--max-waiting-frames"]
+        );
     }
 }

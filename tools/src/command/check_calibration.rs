@@ -8,6 +8,10 @@ use onboard::arguments::CalibrationArguments;
 use sensors::Sequence;
 use std::path::PathBuf;
 
+/// Which time offsets are found: the prior of [`crate::calibration_check`] has a standard deviation of 30 ms.
+const TIME_OFFSET_RANGE: &str = "the time offset is searched for around the stated one, with a prior sigma of 30 ms: an error of 100 ms or more is \
+                                 not found";
+
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -93,6 +97,7 @@ fn print(check: &CalibrationCheck) {
     println!("{:.0} s of the recording", check.seconds);
     print_fit("as stated", &check.stated);
     print_fit("estimated", &check.estimated);
+    println!("{TIME_OFFSET_RANGE}");
     if let Some(mistake) = check.mistake {
         println!("MISTAKE: {mistake}");
         return;

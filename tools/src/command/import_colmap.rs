@@ -8,7 +8,7 @@ use map_io::colmap::{ColmapModel, read_model};
 use mapping::{ColmapFrame, Extraction, import_colmap, stamp_images};
 use nalgebra::Vector3;
 use onboard::arguments::{DEFAULT_MAX_FEATURES, FeatureArguments};
-use sensors::{CalibrationFiles, Recording, Sequence};
+use sensors::{CalibrationFiles, Sequence};
 use serde_json::json;
 use vision::GrayImage;
 
@@ -160,9 +160,8 @@ fn frame(args: &Args, model: &mut ColmapModel) -> anyhow::Result<ColmapFrame> {
     let recording = args.recording.as_ref().or(is_recording.then_some(&args.images));
     match (recording, scale, args.gravity) {
         (Some(recording), scale, None) => {
-            let files = CalibrationFiles::default();
-            let time_offset_ns = Recording::open_with(recording, &files)?.time_offset_ns();
-            let sequence = Sequence::open_with(recording, &files)?;
+            let (sequence, time_offset_ns) =
+                Sequence::open_with_offset(recording, &CalibrationFiles::default())?;
             stamp_images(model, &sequence, time_offset_ns);
             Ok(ColmapFrame::of_recording(model, &sequence, scale, &odometry_config(&sequence)?)?)
         }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use client::SessionArguments;
 use map::store;
 use onboard::arguments::FeatureArguments;
 use protocol::{Format, LocalizeReply};
@@ -10,6 +11,9 @@ use recognition::RecognitionOptions;
 use crate::in_process::load_map;
 use crate::query_image::QueryImage;
 use crate::server_query::{ServerArguments, describe, print_fix, print_places};
+
+/// How long a server is waited for, seconds.
+const TIMEOUT_S: f64 = 5.0;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -31,9 +35,12 @@ pub struct Args {
     /// How features are extracted
     #[command(flatten)]
     pub features: FeatureArguments,
-    /// Where the server is
+    /// How to connect [default: --connect tcp/127.0.0.1:7447]
     #[command(flatten)]
-    pub server: ServerArguments,
+    pub session: SessionArguments,
+    /// Give up after this time, s [default: 5]
+    #[arg(long, value_name = "SECONDS")]
+    pub timeout: Option<f64>,
     /// Print the answer as JSON
     #[arg(long)]
     pub json: bool,
@@ -47,9 +54,9 @@ fn is_path(map: &str) -> bool {
 
 fn ask_map(args: &Args) -> anyhow::Result<(QueryImage, LocalizeReply)> {
     anyhow::ensure!(
-        !args.server.session.is_given(),
-        "--map {} is a map that is read here, and the switches of a session ask a server: leave them out, or give the name under which \
-         the server serves it",
+        !args.session.is_given() && args.timeout.is_none(),
+        "--map {} is a map that is read here, and --timeout and the switches of a session are about a server: leave them out, or give the \
+         name under which the server serves it",
         args.map
     );
     let map = load_map(Path::new(&args.map))?;
@@ -60,14 +67,15 @@ fn ask_map(args: &Args) -> anyhow::Result<(QueryImage, LocalizeReply)> {
 }
 
 fn ask_server(args: &Args) -> anyhow::Result<(QueryImage, LocalizeReply)> {
+    let server =
+        ServerArguments { session: args.session.clone(), timeout: args.timeout.unwrap_or(TIMEOUT_S) };
     let features = match &args.features.extractor {
         Some(_) => args.features.clone(),
-        None => args.features.or_of_map(&args.server.extractor_of(&args.map)?),
+        None => args.features.or_of_map(&server.extractor_of(&args.map)?),
     };
     let query = QueryImage::from_file(&args.image, &args.camera, &features)?;
     let request = query.request();
-    let reply = args
-        .server
+    let reply = server
         .query_in_session(&args.map, async |client, deadline| client.localize(&request, deadline).await)?;
     Ok((query, reply))
 }
@@ -105,4 +113,27 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         std::process::exit(NOT_RECOGNIZED);
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_map_that_is_read_here_refuses_the_switches_of_a_server() {
+        let line = "localize --map ./room.db --image query.png --camera sensor.yaml";
+        for switch in ["--timeout 5", "--connect tcp/10.0.0.1:7447"] {
+            let Line { args } = Line::try_parse_from(line.split(' ').chain(switch.split(' '))).unwrap();
+            assert!(is_path(&args.map));
+            let refusal = ask_map(&args).map(drop).unwrap_err().to_string();
+            assert!(refusal.contains("leave them out"), "{switch}: {refusal}");
+        }
+    }
 }

@@ -338,7 +338,7 @@ fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
         frame.stamp_ns -= calibration.time_offset_ns;
     }
     if args.out.is_some() {
-        copy_without_images(&args.recording, root, cameras, &calibration.files)?;
+        copy_without_images(args, root, cameras, &calibration.files)?;
     }
     for camera in cameras..sequence.cameras.len() {
         // Tracks of an earlier run, with other names for the points.
@@ -350,8 +350,19 @@ fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
     writer::write_tracks(&sequence.frames, cameras, root).context("the tracks were not written")
 }
 
+/// The folder whose `sensor.yaml` files are the calibration: that of `--calibration`, unless it has files of Kalibr, else the recording.
+fn calibration_folder<'a>(args: &'a Args, kalibr: &CalibrationFiles) -> &'a Path {
+    let given = args.calibration.calibration.as_deref();
+    given.filter(|path| path.is_dir() && kalibr.cameras.is_none()).unwrap_or(&args.recording)
+}
+
 /// Copies calibration, lists of images, IMU, wheels, GNSS and truth.
-fn copy_without_images(from: &Path, to: &Path, cameras: usize, kalibr: &CalibrationFiles) -> Result<()> {
+fn copy_without_images(args: &Args, to: &Path, cameras: usize, kalibr: &CalibrationFiles) -> Result<()> {
+    let from = |file: &str| {
+        let is_calibration = file.ends_with("sensor.yaml");
+        let folder = if is_calibration { calibration_folder(args, kalibr) } else { args.recording.as_path() };
+        folder.join(file)
+    };
     let sensors = (0..cameras).map(|camera| format!("mav0/cam{camera}")).chain(["mav0/imu0".to_owned()]);
     let mut files: Vec<String> = Vec::new();
     for sensor in sensors {
@@ -363,7 +374,7 @@ fn copy_without_images(from: &Path, to: &Path, cameras: usize, kalibr: &Calibrat
     }
     files.extend(OTHER_FILES.map(str::to_owned));
     let mut copies: Vec<(PathBuf, PathBuf)> =
-        files.iter().map(|file| (from.join(file), to.join(file))).filter(|(from, _)| from.exists()).collect();
+        files.iter().map(|file| (from(file), to.join(file))).filter(|(from, _)| from.exists()).collect();
     for (file, name) in [(&kalibr.cameras, "camchain-imucam.yaml"), (&kalibr.imu, "imu.yaml")] {
         copies.extend(file.iter().map(|file| (file.clone(), to.join(name))));
     }
@@ -397,5 +408,38 @@ fn print_summary(summary: &Summary) {
     }
     for path in &summary.written {
         println!("written to {}", path.display());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn the_copied_calibration_is_the_one_that_is_used() {
+        let folder = tempfile::tempdir().unwrap();
+        let [rec, rig, out] = ["rec", "rig", "out"].map(|name| folder.path().join(name));
+        for (root, file) in [(&rec, "data.csv"), (&rec, "sensor.yaml"), (&rig, "sensor.yaml")] {
+            let sensor = root.join("mav0/imu0");
+            std::fs::create_dir_all(&sensor).unwrap();
+            std::fs::write(sensor.join(file), root.to_str().unwrap()).unwrap();
+        }
+        let copied = |switches: &[&Path]| {
+            let line = [Path::new("track"), rec.as_path(), Path::new("--out"), out.as_path()];
+            let Line { args } = Line::try_parse_from(line.iter().chain(switches)).unwrap();
+            copy_without_images(&args, &out, 0, &CalibrationFiles::default()).unwrap();
+            ["data.csv", "sensor.yaml"]
+                .map(|file| std::fs::read_to_string(out.join("mav0/imu0").join(file)).unwrap())
+        };
+        let [in_rec, in_rig] = [&rec, &rig].map(|root| root.to_str().unwrap().to_owned());
+        assert_eq!(copied(&[Path::new("--calibration"), rig.as_path()]), [in_rec.clone(), in_rig]);
+        assert_eq!(copied(&[]), [in_rec.clone(), in_rec]);
     }
 }

@@ -61,22 +61,28 @@ fn put_back_landmarks(
     let (last_of_part, last_of_map) = (last(before), last(map));
     let renamed = |id: LandmarkId| if id > last_of_part { id - last_of_part + last_of_map } else { id };
     let known: BTreeSet<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
-    let was: BTreeMap<LandmarkId, _> =
-        before.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
+    let was: BTreeMap<LandmarkId, _> = before
+        .landmarks_in_global()
+        .map(|(landmark, position)| (landmark.id, (landmark.anchor, position)))
+        .collect();
     let keyframes: BTreeMap<KeyframeId, &Keyframe> =
         map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
     map.landmarks.retain(|landmark| !(gone.contains(&landmark.id) && was.contains_key(&landmark.id)));
     let mut new: Vec<Landmark> = Vec::new();
     for (landmark, position) in after.landmarks_in_global() {
-        let Some(was) = was.get(&landmark.id) else {
+        let Some((anchor_was, was)) = was.get(&landmark.id) else {
             new.push(Landmark { id: renamed(landmark.id), ..landmark.clone() });
             continue;
         };
         let Ok(at) = map.landmarks.binary_search_by_key(&landmark.id, |of| of.id) else { continue };
         let of_map = &mut map.landmarks[at];
+        let observations = of_map.observations.len();
         let seen = landmark.observations.iter().filter(|seen| !known.contains(&seen.keyframe));
         of_map.observations.extend(seen.cloned());
+        // One that only got another anchor, since its former one was taken out of the part, was not measured again.
+        let is_measured = landmark.anchor == *anchor_was || of_map.observations.len() > observations;
         if let Some(anchor) = keyframes.get(&of_map.anchor)
+            && is_measured
             && (position - was).norm() > UNMOVED_M
         {
             // What an anchor beyond the border sees has no part in where the landmark is now.

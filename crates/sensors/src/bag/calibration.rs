@@ -166,6 +166,19 @@ fn imu_without_kalibr(bag: &Bag, root: &Path) -> Result<ImuSensor, SequenceError
     recorded::imu(bag)?.ok_or_else(|| unknown(bag.path(), root, "imu0", ""))
 }
 
+/// GNSS by its `sensor.yaml`, where its topic is named and the folder of the calibration has that file.
+pub(super) fn stated_gnss(
+    path: &Path,
+    files: &CalibrationFiles,
+) -> Result<Option<GnssSensor>, SequenceError> {
+    if files.gnss_topic.is_none() {
+        return Ok(None);
+    }
+    let (root, _) = files_of(path, files)?;
+    let file = euroc_path(&root, "gnss0");
+    Ok(file.is_file().then(|| sensor_yaml::read_gnss(&file)).transpose()?)
+}
+
 /// The folder of the calibration of a bag, and its files.
 fn files_of(path: &Path, files: &CalibrationFiles) -> Result<(PathBuf, CalibrationFiles), SequenceError> {
     let beside = || if path.is_dir() { path } else { path.parent().unwrap_or(path) };

@@ -18,27 +18,40 @@ use std::sync::Arc;
 pub(super) struct GnssTopic {
     /// Frame of the antenna; `None` of positions in the frame of the map, which Driftless recorded with the antenna.
     frame: Option<String>,
+    /// Whether the sensor has the antenna, by a file or the recording of Driftless; else `/tf_static` may.
+    has_antenna: bool,
     sensor: GnssSensor,
 }
 
 impl GnssTopic {
     /// Finds the topic that is named, else that of a recording of Driftless.
     ///
+    /// # Arguments
+    /// * `stated`: as a `sensor.yaml` states it; the origin of `files` comes first.
+    ///
     /// # Errors
     /// [`SequenceError::Topics`]: it is not there, of another type, has no position, or the origin is not known.
-    pub(super) fn find(bag: &Bag, files: &CalibrationFiles) -> Result<Option<(usize, Self)>, SequenceError> {
+    pub(super) fn find(
+        bag: &Bag,
+        files: &CalibrationFiles,
+        stated: Option<GnssSensor>,
+    ) -> Result<Option<(usize, Self)>, SequenceError> {
         let Some(name) = &files.gnss_topic else { return Self::recorded(bag) };
         let topic = named(bag, name, "--gnss-topic", &[NAV_SAT_FIX])?;
         if let Some(why) = messages::unreadable(bag, topic) {
             return Err(wrong(bag, format!("{name} cannot be read: {why}")));
         }
-        let Some(origin) = files.gnss_origin else {
+        let sensor = stated.unwrap_or_default();
+        let Some(origin) = files.gnss_origin.or(sensor.origin) else {
             return Err(wrong(
                 bag,
-                format!("{name}: the origin of the frame is not known: give --gnss-origin"),
+                format!(
+                    "{name}: the origin of the frame is not known: give --gnss-origin, or origin in mav0/gnss0/sensor.yaml of the folder \
+                     of --calibration"
+                ),
             ));
         };
-        let sensor = GnssSensor { origin: Some(origin), ..GnssSensor::default() };
+        let sensor = GnssSensor { origin: Some(origin), ..sensor };
         let intake = GnssIntake::new(&sensor);
         let recorded = bag.topics()[topic].messages.iter();
         let mut found = recorded.filter_map(|message| {
@@ -53,7 +66,8 @@ impl GnssTopic {
             let taken = intake.take(position.stamp_ns, &position.geodetic, position.covariance);
             taken.map_err(|problem| wrong(bag, format!("{name}: {problem}")))?;
         }
-        Ok(Some((topic, Self { frame: Some(first.header.frame_id), sensor })))
+        let frame = Some(first.header.frame_id);
+        Ok(Some((topic, Self { frame, has_antenna: stated.is_some(), sensor })))
     }
 
     /// The positions that Driftless recorded.
@@ -61,15 +75,15 @@ impl GnssTopic {
         let is_it = |topic: &bags::Topic| topic.name == GNSS_TOPIC && topic.type_name == POSITION;
         let Some(topic) = bag.topics().iter().position(is_it) else { return Ok(None) };
         let sensor = recorded_calibration::gnss(bag)?;
-        Ok(sensor.map(|sensor| (topic, Self { frame: None, sensor })))
+        Ok(sensor.map(|sensor| (topic, Self { frame: None, has_antenna: true, sensor })))
     }
 
-    /// The antenna, where `/tf_static` says where its frame is.
+    /// The antenna, where a file or `/tf_static` says where it is.
     ///
     /// # Arguments
     /// * `imu`: topic of the IMU.
     pub(super) fn calibration(&self, bag: &Bag, imu: Option<usize>) -> Option<GnssSensor> {
-        let Some(frame) = &self.frame else { return Some(self.sensor) };
+        let Some(frame) = self.frame.as_ref().filter(|_| !self.has_antenna) else { return Some(self.sensor) };
         let imu_from_antenna = static_transforms(bag).between(&imu_frame(bag, imu?), frame)?;
         Some(GnssSensor { antenna_in_imu: imu_from_antenna.translation, ..self.sensor })
     }

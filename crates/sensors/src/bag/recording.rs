@@ -57,7 +57,7 @@ impl BagRecording {
         // Files that are missing are found before all stamps are read.
         let wheels = WheelTopic::find(&bag, files)?;
         let of_wheels = wheels.as_ref().map(|(_, wheels)| wheels);
-        let gnss = GnssTopic::find(&bag, files)?;
+        let gnss = GnssTopic::find(&bag, files, calibration::stated_gnss(path, files)?)?;
         let of_gnss = gnss.as_ref().map(|(_, gnss)| gnss);
         let calibration = calibration::read(&bag, &sensors, of_wheels, of_gnss, files)?;
         let imu = sensors.imu.map(|topic| StampedTopic::read(&bag, topic, &[]));

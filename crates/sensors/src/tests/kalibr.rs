@@ -226,7 +226,9 @@ fn named_files_come_before_sensor_yaml_and_found_files_after_it() {
         CalibrationFiles { cameras: file("c.yaml"), imu: file("i.yaml"), ..CalibrationFiles::default() };
     std::fs::write(files.cameras.as_ref().unwrap(), chain(&written, false)).unwrap();
     std::fs::write(files.imu.as_ref().unwrap(), IMU).unwrap();
-    assert_read(&Sequence::open_with(folder.path(), &files).unwrap(), &written);
+    let (read, time_offset_ns) = Sequence::open_with_offset(folder.path(), &files).unwrap();
+    assert_read(&read, &written);
+    assert_eq!(time_offset_ns, SHIFT_NS);
     std::fs::copy(files.cameras.as_ref().unwrap(), folder.path().join("camchain.yaml")).unwrap();
     assert_eq!(Sequence::open(folder.path()).unwrap().frames[0].stamp_ns, written.frames[0].stamp_ns);
     assert_eq!(calibration::read_lens(files.cameras.as_ref().unwrap()).unwrap(), written.cameras[0].camera);

@@ -76,10 +76,28 @@ fn positions_are_read_where_their_topic_is_named_and_the_antenna_where_tf_static
 }
 
 #[test]
+fn a_sensor_yaml_states_origin_and_antenna_and_a_given_origin_comes_first() {
+    let made = Made::new(&with_gnss(), &CAMERA);
+    let file = made.path.with_file_name("mav0").join("gnss0/sensor.yaml");
+    std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+    std::fs::write(&file, "antenna: [0.1, 0.0, 0.8]\norigin: [48.0, 11.0, 500.0]\n").unwrap();
+    let lower = Geodetic { altitude_m: 490.0, ..ORIGIN };
+    for (given, used, height_m) in [(None, ORIGIN, 2.0), (Some(lower), lower, 12.0)] {
+        let recording = made.open_with(&files(given)).unwrap();
+        let sensor = recording.calibration().gnss.unwrap();
+        assert_eq!((sensor.antenna_in_imu, sensor.origin), (Vector3::new(0.1, 0.0, 0.8), Some(used)));
+        let first = recording.gnss_readings().unwrap().next().unwrap().unwrap();
+        assert!((first.position - Vector3::new(0.0, 0.0, height_m)).norm() < 0.01, "{}", first.position);
+    }
+    assert!(!made.open().unwrap().contents().gnss, "the topic has to be named");
+}
+
+#[test]
 fn what_a_topic_of_positions_lacks_is_named() {
     let made = Made::new(&with_gnss(), &CAMERA);
     let error = |files: &CalibrationFiles| made.open_with(files).map(drop).unwrap_err().to_string();
-    assert!(error(&files(None)).contains("--gnss-origin"));
+    let nowhere = error(&files(None));
+    assert!(nowhere.contains("--gnss-origin") && nowhere.contains("gnss0/sensor.yaml"), "{nowhere}");
     let elsewhere = Geodetic { latitude_deg: 11.0, longitude_deg: 48.0, ..ORIGIN };
     let far = error(&files(Some(elsewhere)));
     assert!(far.contains("km from the origin"), "{far}");
