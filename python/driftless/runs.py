@@ -54,8 +54,8 @@ class Run:
         """Ground truth of the recording that summary.json names, in the map's frame; `None` where there is none.
 
         The frame of a map that was built without poses is its own: the truth is then aligned with it in yaw and position, as
-        the run was scored (`summary["score"]["map_from_truth"]`). The alignment removes a part of the error: no NEES is one of the
-        pose in the map then.
+        the run was scored (`summary["score"]["map_from_truth"]`). The alignment removes a part of the error, so no NEES of
+        the pose in the map is given.
 
         A relative path is one from here, or from the folder that holds the run.
         """

@@ -81,8 +81,8 @@ pub(crate) fn has_rival(
 }
 
 /// Sorts verified keyframes, most inliers first, and groups those that agree on a place: the place that explains most query
-/// features first, each with its keyframes of most inliers first. A place is told by that keyframe which constrains the pose best
-/// among those that all agree, and has all that agree with this one.
+/// features first, each with its own keyframes of most inliers first. A place is told by that keyframe which constrains the pose best
+/// among those that all agree, and has all that agree with this one; those that it shares with a former place come last.
 pub(crate) fn group_places(
     map: &LoadedMap,
     verified: &mut [VerifiedKeyframe],
@@ -113,8 +113,13 @@ pub(crate) fn group_places(
         else {
             break;
         };
-        let (place, others) = rest.into_iter().partition(|&at| at == anchor || agreeing[at * count + anchor]);
-        rest = others;
+        let agrees = |at: &usize| *at == anchor || agreeing[at * count + anchor];
+        let mut place: Vec<usize> = rest.iter().copied().filter(agrees).collect();
+        let explained_before = (0..count).filter(|at| !rest.contains(at));
+        // What says nothing of the difference between places explains as much of each.
+        let shared: Vec<usize> = explained_before.filter(agrees).collect();
+        rest.retain(|at| !agrees(at));
+        place.extend(shared);
         places.push(place);
     }
     places

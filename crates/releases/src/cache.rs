@@ -7,6 +7,7 @@
 
 use crate::error::ReleaseError;
 use crate::release::Release;
+use crate::store::SignedFile;
 use bytes::Bytes;
 use map::MapMetadata;
 use map::file::SegmentName;
@@ -14,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 const RELEASE: &str = "release.json";
 const SEGMENTS: &str = "segments";
@@ -47,8 +49,20 @@ impl ReleaseCache {
         serde_json::from_slice(&text).ok().or_else(|| NotedRelease::of_release_alone(text))
     }
 
-    /// Notes which release is served from now on; the segments of others stay until [`Self::remove_others`].
-    pub(crate) fn note(&self, noted: &NotedRelease) -> Result<(), ReleaseError> {
+    /// Notes which release is served from now on; the segments of others stay until [`Self::remove_others`]. Waits for the disk in
+    /// a thread that may block.
+    pub(crate) async fn note(&self, noted: Arc<NotedRelease>) -> Result<(), ReleaseError> {
+        let (cache, path) = (self.clone(), self.folder.join(RELEASE));
+        let writing = tokio::task::spawn_blocking(move || cache.write_noted(&noted));
+        let failed = |error: tokio::task::JoinError| ReleaseError::Cache { path, source: error.into() };
+        writing.await.map_err(failed).flatten()
+    }
+
+    /// Nothing is written where it is noted already: the disk may be full.
+    fn write_noted(&self, noted: &NotedRelease) -> Result<(), ReleaseError> {
+        if self.noted().is_some_and(|present| present.has_all_of(noted)) {
+            return Ok(());
+        }
         let path = self.folder.join(RELEASE);
         let text = serde_json::to_vec(noted)
             .map_err(|error| ReleaseError::Cache { path: path.clone(), source: error.into() })?;
@@ -108,6 +122,26 @@ pub(crate) struct NotedRelease {
 }
 
 impl NotedRelease {
+    /// What is noted of a release that was read.
+    ///
+    /// # Arguments
+    /// * `place`: the store.
+    pub(crate) fn of(place: &str, release: &Release, file: &SignedFile) -> Self {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Self {
+            place: Some(place.to_owned()),
+            version: release.map.version,
+            file: text(&file.text),
+            signature: file.signature.as_deref().map(text),
+        }
+    }
+
+    /// Whether another one adds nothing: the same release, without a signature or with the same one.
+    fn has_all_of(&self, other: &Self) -> bool {
+        let is_same = self.place == other.place && self.version == other.version && self.file == other.file;
+        is_same && (other.signature.is_none() || other.signature == self.signature)
+    }
+
     /// That of a cache that has nothing but the release.
     fn of_release_alone(text: Vec<u8>) -> Option<Self> {
         let version = Release::decode_any(&text).ok()?.map.version;

@@ -9,8 +9,7 @@ use crate::error::{ReleaseError, with_causes};
 use crate::publish::{now_unix_s, renew};
 use crate::release::Release;
 use crate::stage::{CandidateState, Decision, Note, Stage, Verdict};
-use crate::store::ReleaseStore;
-use map::MapMetadata;
+use crate::store::{ReadRelease, ReleaseStore};
 
 /// Makes a candidate the next live release.
 ///
@@ -106,21 +105,29 @@ pub async fn newest_open(store: &ReleaseStore) -> Result<Release, ReleaseError> 
 /// # Errors
 /// As [`ReleaseStore::release`].
 pub async fn newest_with_candidates(store: &ReleaseStore) -> Result<Option<Release>, ReleaseError> {
-    let newest = store.newest().await?;
+    Ok(read_with_candidates(store).await?.map(|read| read.release))
+}
+
+/// As [`newest_with_candidates`], with its file.
+pub(crate) async fn read_with_candidates(store: &ReleaseStore) -> Result<Option<ReadRelease>, ReleaseError> {
+    let newest = store.read_newest().await?;
     let Some(number) = store.candidate_numbers().await?.pop() else { return Ok(newest) };
-    let proposed = store.candidate(number).await?;
-    if ensure_next(newest.as_ref(), &proposed, number).is_ok() {
-        let decision = store.decision(&proposed).await?;
+    let proposed = store.read_candidate(number).await?;
+    let live = newest.as_ref().map(|newest| &newest.release);
+    if ensure_next(live, &proposed.release, number).is_ok() {
+        let decision = store.decision(&proposed.release).await?;
         if decision.is_none_or(|decision| decision.verdict == Verdict::Promoted) {
             return Ok(Some(proposed));
         }
     }
-    let after = proposed.map.version.saturating_add(1);
-    Ok(newest.map(|live| {
+    let of_candidate = proposed.release.map.version;
+    Ok(newest.map(|mut live| {
         // The candidate itself, or a release that came after it, is known by its own version.
-        let is_older = live.map.version < proposed.map.version;
-        let version = if is_older { after } else { live.map.version };
-        Release { map: MapMetadata { version, ..live.map.clone() }, ..live }
+        let version = &mut live.release.map.version;
+        if *version < of_candidate {
+            *version = of_candidate.saturating_add(1);
+        }
+        live
     }))
 }
 

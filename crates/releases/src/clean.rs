@@ -6,6 +6,7 @@ use crate::publish::now_unix_s;
 use crate::store::{ReleaseStore, put_s};
 use object_store::ObjectMeta;
 use std::collections::BTreeSet;
+use std::pin::pin;
 use std::time::Duration;
 
 /// What is kept.
@@ -48,7 +49,7 @@ pub struct Cleaned {
 ///
 /// # Errors
 /// [`ReleaseError::Store`]; [`ReleaseError::Damaged`] for a release that cannot be read: nothing is removed then; [`ReleaseError::MarkLost`] where
-/// it took so long that something may be published meanwhile.
+/// the store was away for so long that something may be published meanwhile.
 pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Cleaned, ReleaseError> {
     if options.dry_run {
         return clean_marked(store, options, None).await;
@@ -69,33 +70,30 @@ async fn clean_marked(
     // The time is read and segments are listed first: what is put later is younger than the grace time, however long the rest takes.
     let now_s = mark.as_ref().map_or_else(now_unix_s, |mark| mark.put_s());
     let oldest = now_s.saturating_sub(options.grace.as_secs());
-    let segments = store.segments().await?;
-    let numbers = store.numbers().await?;
+    let segments = marked(&mut mark, store.segments()).await?;
+    let numbers = marked(&mut mark, store.numbers()).await?;
     let (former, kept) = numbers.split_at(numbers.len().saturating_sub(options.releases.max(1)));
     let mut needed = BTreeSet::new();
     for number in kept {
-        renew(&mut mark).await?;
-        needed.extend(store.release(*number).await?.segments().map(|segment| segment.sha256.clone()));
+        let release = marked(&mut mark, store.release(*number)).await?;
+        needed.extend(release.segments().map(|segment| segment.sha256.clone()));
     }
     let candidates = candidates_before(store, kept, &mut needed, &mut mark).await?;
     let mut cleaned = Cleaned { releases: former.to_vec(), candidates, ..Cleaned::default() };
     // A release goes before its segments, so that no release lacks any.
     if mark.is_some() {
         for number in &cleaned.releases {
-            renew(&mut mark).await?;
-            store.remove_release(*number).await?;
+            marked(&mut mark, store.remove_release(*number)).await?;
         }
         for number in &cleaned.candidates {
-            renew(&mut mark).await?;
-            store.remove_candidate(*number).await?;
+            marked(&mut mark, store.remove_candidate(*number)).await?;
         }
     }
     for (name, object) in segments {
         if needed.contains(&name) || put_s(&object) > oldest {
             continue;
         }
-        renew(&mut mark).await?;
-        if mark.is_some() && !remove_unless_renewed(store, &name, &object).await? {
+        if mark.is_some() && !marked(&mut mark, remove_unless_renewed(store, &name, &object)).await? {
             continue;
         }
         cleaned.bytes = cleaned.bytes.saturating_add(object.size);
@@ -104,10 +102,15 @@ async fn clean_marked(
     Ok(cleaned)
 }
 
-async fn renew(mark: &mut Option<&mut CleaningMark<'_>>) -> Result<(), ReleaseError> {
+/// Does a step, while the mark is kept if there is one.
+async fn marked<T>(
+    mark: &mut Option<&mut CleaningMark<'_>>,
+    step: impl Future<Output = Result<T, ReleaseError>>,
+) -> Result<T, ReleaseError> {
+    let step = pin!(step);
     match mark {
-        Some(mark) => mark.renew().await,
-        None => Ok(()),
+        Some(mark) => mark.during(step).await,
+        None => step.await,
     }
 }
 
@@ -140,11 +143,10 @@ async fn candidates_before(
     mark: &mut Option<&mut CleaningMark<'_>>,
 ) -> Result<Vec<u64>, ReleaseError> {
     let oldest = kept.first().copied().unwrap_or(0);
-    let numbers = store.candidate_numbers().await?;
+    let numbers = marked(mark, store.candidate_numbers()).await?;
     let mut going = Vec::new();
     for number in &numbers {
-        renew(mark).await?;
-        let candidate = store.candidate(*number).await?;
+        let candidate = marked(mark, store.candidate(*number)).await?;
         if candidate.number <= oldest && Some(number) != numbers.last() {
             going.push(*number);
         } else {

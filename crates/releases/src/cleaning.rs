@@ -8,6 +8,7 @@ use crate::error::ReleaseError;
 use crate::release::Release;
 use crate::store::ReleaseStore;
 use std::collections::BTreeSet;
+use std::pin::Pin;
 use std::time::{Duration, Instant};
 
 /// A mark that is not renewed for so long is of a killed program.
@@ -25,13 +26,18 @@ pub(crate) struct CleaningMark<'a> {
 }
 
 impl<'a> CleaningMark<'a> {
-    /// Puts a mark, and removes those of killed programs.
+    /// Puts a mark, and removes what killed programs left: marks, and objects that told the time.
     pub(crate) async fn put(store: &'a ReleaseStore) -> Result<CleaningMark<'a>, ReleaseError> {
         let (name, renewed) = (own_name(), Instant::now());
         let put_s = store.put_mark(&name).await?;
         for (other, other_s) in store.marks().await? {
             if is_stale(other_s, put_s) {
                 store.remove_mark(&other).await?;
+            }
+        }
+        for (other, other_s) in store.clock_objects().await? {
+            if is_stale(other_s, put_s) {
+                store.remove_clock_object(&other).await?;
             }
         }
         Ok(CleaningMark { store, name, renewed, put_s })
@@ -42,13 +48,27 @@ impl<'a> CleaningMark<'a> {
         self.put_s
     }
 
-    /// Keeps the mark from being taken for one of a killed program; called before each step.
+    /// Does a step, and keeps the mark from being taken for one of a killed program, however long the step takes.
     ///
     /// # Errors
-    /// [`ReleaseError::MarkLost`] where it may have been taken for one already.
-    pub(crate) async fn renew(&mut self) -> Result<(), ReleaseError> {
+    /// [`ReleaseError::MarkLost`] where it may have been taken for one already, and those of the step.
+    pub(crate) async fn during<T>(
+        &mut self,
+        mut step: Pin<&mut impl Future<Output = Result<T, ReleaseError>>>,
+    ) -> Result<T, ReleaseError> {
+        self.renew().await?;
+        loop {
+            let due = RENEWAL.saturating_sub(self.renewed.elapsed());
+            tokio::select! {
+                done = &mut step => return done,
+                () = tokio::time::sleep(due) => self.renew().await?,
+            }
+        }
+    }
+
+    async fn renew(&mut self) -> Result<(), ReleaseError> {
         let (now, age) = (Instant::now(), self.renewed.elapsed());
-        if age <= RENEWAL {
+        if age < RENEWAL {
             return Ok(());
         }
         if age > STALE || !self.store.has_mark(&self.name).await? {
@@ -101,6 +121,49 @@ fn now_unix_ns() -> u128 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::pin::pin;
+    use std::time::SystemTime;
+
+    #[tokio::test]
+    async fn a_mark_is_renewed_while_a_step_takes_long() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ReleaseStore::open(folder.path().to_str().unwrap()).unwrap();
+        let mut mark = CleaningMark::put(&store).await.unwrap();
+        // It is due in the middle of the step.
+        let due = RENEWAL.saturating_sub(Duration::from_millis(200));
+        mark.renewed = Instant::now().checked_sub(due).unwrap();
+        let step = async {
+            tokio::time::sleep(Duration::from_secs(1)).await;
+            Ok(7)
+        };
+        let done = mark.during(pin!(step)).await;
+        assert_eq!(done.unwrap(), 7);
+        assert!(mark.renewed.elapsed() < RENEWAL / 2);
+        // Of a mark that is lost, no step is begun.
+        store.remove_mark(&mark.name).await.unwrap();
+        mark.renewed = Instant::now().checked_sub(2 * RENEWAL).unwrap();
+        let mut is_begun = false;
+        let step = async {
+            is_begun = true;
+            Ok(())
+        };
+        let lost = mark.during(pin!(step)).await;
+        assert!(matches!(lost, Err(ReleaseError::MarkLost { .. })) && !is_begun);
+    }
+
+    #[tokio::test]
+    async fn objects_that_told_the_time_go_once_nobody_needs_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ReleaseStore::open(folder.path().to_str().unwrap()).unwrap();
+        let clock = folder.path().join("clock");
+        std::fs::create_dir_all(&clock).unwrap();
+        let [of_killed, of_another] = ["1-1", "2-2"].map(|name| clock.join(name));
+        let file = std::fs::File::create(&of_killed).unwrap();
+        file.set_modified(SystemTime::now().checked_sub(2 * STALE).unwrap()).unwrap();
+        std::fs::File::create(&of_another).unwrap();
+        CleaningMark::put(&store).await.unwrap().remove().await.unwrap();
+        assert!(!of_killed.exists() && of_another.exists());
+    }
 
     #[tokio::test]
     async fn a_mark_that_others_may_have_taken_for_a_killed_programs_is_lost() {

@@ -111,7 +111,7 @@ pub enum ReleaseError {
     },
     /// While segments were removed, the mark that tells publishers of it could be taken for one of a killed program.
     #[error(
-        "cleaning {place} was stopped: a step took longer than a minute, and others may take this program for one that was killed; clean again"
+        "cleaning {place} was stopped: its mark was not renewed for a minute, and others may take this program for one that was killed; clean again"
     )]
     MarkLost {
         /// The store.

@@ -1,10 +1,10 @@
 //! Which release of which store, in one word of a command line.
 
-use crate::candidates::{newest_open, newest_with_candidates};
+use crate::candidates::{newest_open, read_with_candidates};
 use crate::error::ReleaseError;
 use crate::release::Release;
 use crate::stage::Stage;
-use crate::store::ReleaseStore;
+use crate::store::{ReadRelease, ReleaseStore};
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
@@ -84,10 +84,19 @@ impl ReleaseChoice {
     /// # Errors
     /// As [`ReleaseChoice::of`].
     pub async fn followed(self, store: &ReleaseStore) -> Result<Option<Release>, ReleaseError> {
+        Ok(self.read_followed(store).await?.map(|read| read.release))
+    }
+
+    /// As [`ReleaseChoice::followed`], with its file.
+    pub(crate) async fn read_followed(
+        self,
+        store: &ReleaseStore,
+    ) -> Result<Option<ReadRelease>, ReleaseError> {
         match self {
-            Self::Newest => store.newest().await,
-            Self::NewestCandidate => newest_with_candidates(store).await,
-            Self::Number(_) | Self::Candidate(_) => self.of(store).await.map(Some),
+            Self::Newest => store.read_newest().await,
+            Self::NewestCandidate => read_with_candidates(store).await,
+            Self::Number(number) => store.read_release(number).await.map(Some),
+            Self::Candidate(number) => store.read_candidate(number).await.map(Some),
         }
     }
 

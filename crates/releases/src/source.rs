@@ -6,6 +6,7 @@ use crate::place::ReleaseChoice;
 use crate::release::Release;
 use crate::store::ReleaseStore;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The releases of one map, with a cache of what was fetched.
 #[derive(Clone, Debug)]
@@ -16,6 +17,15 @@ pub struct ReleaseSource {
     pub cache: ReleaseCache,
     /// Which release is followed.
     pub choice: ReleaseChoice,
+    /// Of all copies: the release that was read last.
+    last_read: Arc<Mutex<Option<LastRead>>>,
+}
+
+/// What is noted of a release if it is served. It was read with the release: the store may be away by then.
+#[derive(Clone, Debug)]
+struct LastRead {
+    release: Release,
+    noted: Arc<NotedRelease>,
 }
 
 impl ReleaseSource {
@@ -24,7 +34,8 @@ impl ReleaseSource {
     /// # Errors
     /// [`ReleaseError::Cache`].
     pub fn open(store: ReleaseStore, cache: &Path) -> Result<Self, ReleaseError> {
-        Ok(Self { store, cache: ReleaseCache::open(cache)?, choice: ReleaseChoice::Newest })
+        let cache = ReleaseCache::open(cache)?;
+        Ok(Self { store, cache, choice: ReleaseChoice::Newest, last_read: Arc::default() })
     }
 
     /// The same store, of which another choice is followed.
@@ -38,11 +49,13 @@ impl ReleaseSource {
     /// # Errors
     /// As [`ReleaseChoice::followed`].
     pub async fn newest(&self) -> Result<Option<Release>, ReleaseError> {
-        self.choice.followed(&self.store).await
+        let Some(read) = self.choice.read_followed(&self.store).await? else { return Ok(None) };
+        self.remember(&read.release, NotedRelease::of(self.store.place(), &read.release, &read.file));
+        Ok(Some(read.release))
     }
 
     /// The release that is to be served, or where none can be read the one that was served last, if that is of the same store and choice, and
-    /// signed where it must be. One that is not signed is no reason to serve another.
+    /// signed where it must be. If the newest release is not signed, that is an error; it does not fall back to the cache.
     ///
     /// # Errors
     /// [`ReleaseError::NoRelease`] and [`ReleaseError::NoCandidate`] where the store has not what was chosen, [`ReleaseError::NotSigned`];
@@ -62,8 +75,11 @@ impl ReleaseSource {
         if is_final {
             return Err(error);
         }
-        let cached = self.cached().filter(|release| self.choice.is_of(release));
-        let Some(release) = cached else { return Err(error) };
+        let source = self.clone();
+        let reading = tokio::task::spawn_blocking(move || source.cached());
+        let cached = reading.await.ok().flatten().filter(|(release, _)| self.choice.is_of(release));
+        let Some((release, noted)) = cached else { return Err(error) };
+        self.remember(&release, noted);
         let reason = with_causes(&error);
         tracing::warn!(
             release = release.number,
@@ -75,7 +91,7 @@ impl ReleaseSource {
 
     /// The release that was served last, where it is of this store, and signed if it must be. A cache of an earlier program, which names no
     /// store, counts where no key is given.
-    fn cached(&self) -> Option<Release> {
+    fn cached(&self) -> Option<(Release, NotedRelease)> {
         let noted = self.cache.noted()?;
         if let Some(place) = noted.place.as_deref().filter(|place| *place != self.store.place()) {
             tracing::warn!(place, "the release in the cache is not used: it is of another store");
@@ -89,11 +105,11 @@ impl ReleaseSource {
             );
             return None;
         }
-        noted.release()
+        Some((noted.release()?, noted))
     }
 
-    /// Notes which release is served from now on, while the former one may still need what it has. A cache that cannot be written is logged
-    /// and not used.
+    /// Notes which release is served from now on, while the former one may still need what it has. The store is read only if the release is
+    /// not the one that was read here last. A cache that cannot be written is logged and not used.
     ///
     /// # Returns
     /// Whether it is noted.
@@ -107,18 +123,26 @@ impl ReleaseSource {
     }
 
     async fn try_note(&self, release: &Release) -> Result<(), ReleaseError> {
-        // Of a store that is away, the cached release is served.
-        if self.cached().as_ref() == Some(release) {
-            return Ok(());
-        }
-        let file = self.store.file_of(release).await?;
-        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        self.cache.note(&NotedRelease {
-            place: Some(self.store.place().to_owned()),
-            version: release.map.version,
-            file: text(&file.text),
-            signature: file.signature.as_deref().map(text),
-        })
+        let noted = if let Some(noted) = self.remembered(release) {
+            noted
+        } else {
+            let file = self.store.file_of(release).await?;
+            self.remember(release, NotedRelease::of(self.store.place(), release, &file))
+        };
+        self.cache.note(noted).await
+    }
+
+    fn remember(&self, release: &Release, noted: NotedRelease) -> Arc<NotedRelease> {
+        let noted = Arc::new(noted);
+        let read = LastRead { release: release.clone(), noted: Arc::clone(&noted) };
+        *self.last_read.lock().unwrap_or_else(PoisonError::into_inner) = Some(read);
+        noted
+    }
+
+    /// What is to be noted of a release, if it was the last that was read.
+    fn remembered(&self, release: &Release) -> Option<Arc<NotedRelease>> {
+        let last = self.last_read.lock().unwrap_or_else(PoisonError::into_inner);
+        last.as_ref().filter(|last| last.release == *release).map(|last| Arc::clone(&last.noted))
     }
 
     /// Removes what other releases than the one that is served need. What cannot be removed is logged.

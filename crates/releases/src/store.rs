@@ -1,5 +1,6 @@
 //! The object store of releases.
 
+mod marks;
 mod signed;
 
 use crate::change::ReleasedChange;
@@ -14,6 +15,7 @@ use map::file::segment::sha256;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
+pub(crate) use signed::{ReadRelease, SignedFile};
 use signing::PublicKey as ReleaseKey;
 #[cfg(feature = "signing")]
 use signing::SecretKey as SigningKey;
@@ -29,8 +31,6 @@ const CANDIDATES: &str = "candidates";
 const DECISIONS: &str = "decisions";
 const SEGMENTS: &str = "segments";
 const SIGNATURES: &str = "signatures";
-const MARKS: &str = "cleaning";
-const CLOCK: &str = "clock";
 /// A signature is a few lines.
 const MAX_SIGNATURE_BYTES: u64 = 4096;
 const EXTENSION: &str = ".json";
@@ -155,10 +155,16 @@ impl ReleaseStore {
     /// # Errors
     /// [`ReleaseError::NoRelease`], [`ReleaseError::Store`], [`ReleaseError::Damaged`].
     pub async fn release(&self, number: u64) -> Result<Release, ReleaseError> {
+        Ok(self.read_release(number).await?.release)
+    }
+
+    /// A release with its file.
+    pub(crate) async fn read_release(&self, number: u64) -> Result<ReadRelease, ReleaseError> {
         let object = release_name(number);
         let missing = || ReleaseError::NoRelease { place: self.place.clone(), number };
-        let text = self.read_signed(&object).await?.ok_or_else(missing)?;
-        Release::decode(&text, number).map_err(|reason| self.damaged(object, reason))
+        let file = self.read_with_signature(&object).await?.ok_or_else(missing)?;
+        let release = Release::decode(&file.text, number).map_err(|reason| self.damaged(object, reason))?;
+        Ok(ReadRelease { release, file })
     }
 
     /// The numbers of all candidates, ascending.
@@ -174,10 +180,17 @@ impl ReleaseStore {
     /// # Errors
     /// [`ReleaseError::NoCandidate`], [`ReleaseError::Store`], [`ReleaseError::Damaged`].
     pub async fn candidate(&self, number: u64) -> Result<Release, ReleaseError> {
+        Ok(self.read_candidate(number).await?.release)
+    }
+
+    /// A candidate with its file.
+    pub(crate) async fn read_candidate(&self, number: u64) -> Result<ReadRelease, ReleaseError> {
         let object = name_in(CANDIDATES, number);
         let missing = || ReleaseError::NoCandidate { place: self.place.clone(), candidate: Some(number) };
-        let text = self.read_signed(&object).await?.ok_or_else(missing)?;
-        Release::decode_candidate(&text, number).map_err(|reason| self.damaged(object, reason))
+        let file = self.read_with_signature(&object).await?.ok_or_else(missing)?;
+        let release =
+            Release::decode_candidate(&file.text, number).map_err(|reason| self.damaged(object, reason))?;
+        Ok(ReadRelease { release, file })
     }
 
     /// A release whose map is put under this store's signature again.
@@ -245,8 +258,13 @@ impl ReleaseStore {
     /// # Errors
     /// As [`ReleaseStore::release`].
     pub async fn newest(&self) -> Result<Option<Release>, ReleaseError> {
+        Ok(self.read_newest().await?.map(|read| read.release))
+    }
+
+    /// The newest release with its file.
+    pub(crate) async fn read_newest(&self) -> Result<Option<ReadRelease>, ReleaseError> {
         match self.numbers().await?.last() {
-            Some(number) => self.release(*number).await.map(Some),
+            Some(number) => self.read_release(*number).await.map(Some),
             None => Ok(None),
         }
     }
@@ -337,29 +355,6 @@ impl ReleaseStore {
         self.head(&format!("{SEGMENTS}/{sha256}")).await
     }
 
-    /// Puts a mark.
-    ///
-    /// # Returns
-    /// When that was, s since 1970.
-    pub(crate) async fn put_mark(&self, name: &str) -> Result<u64, ReleaseError> {
-        self.put_dated(format!("{MARKS}/{name}")).await
-    }
-
-    pub(crate) async fn has_mark(&self, name: &str) -> Result<bool, ReleaseError> {
-        Ok(self.head(&format!("{MARKS}/{name}")).await?.is_some())
-    }
-
-    /// The time, s since 1970, by the clock that dates what is put: that of this machine may differ.
-    ///
-    /// # Arguments
-    /// * `name`: of an object that nobody else puts; it is removed.
-    pub(crate) async fn now_s(&self, name: &str) -> Result<u64, ReleaseError> {
-        let object = format!("{CLOCK}/{name}");
-        let now_s = self.put_dated(object.clone()).await?;
-        self.remove(object).await?;
-        Ok(now_s)
-    }
-
     /// Puts an empty object; returns when that was, s since 1970.
     async fn put_dated(&self, object: String) -> Result<u64, ReleaseError> {
         let put = self.put(&object, Vec::new(), PutMode::Overwrite).await;
@@ -369,14 +364,10 @@ impl ReleaseStore {
         Ok(put_s(&found))
     }
 
-    /// Marks of programs that remove segments, and when they were put, s since 1970.
-    pub(crate) async fn marks(&self) -> Result<Vec<(String, u64)>, ReleaseError> {
+    /// What a folder has, and when it was put, s since 1970.
+    async fn dated(&self, folder: &str) -> Result<Vec<(String, u64)>, ReleaseError> {
         let named = |object: ObjectMeta| Some((object.location.filename()?.to_owned(), put_s(&object)));
-        Ok(self.list(MARKS).await?.into_iter().filter_map(named).collect())
-    }
-
-    pub(crate) async fn remove_mark(&self, name: &str) -> Result<(), ReleaseError> {
-        self.remove(format!("{MARKS}/{name}")).await
+        Ok(self.list(folder).await?.into_iter().filter_map(named).collect())
     }
 
     pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {

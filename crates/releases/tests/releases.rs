@@ -430,6 +430,27 @@ fn a_pipe_in_the_cache_is_no_release() {
     assert!(cache.release().is_none());
 }
 
+#[tokio::test]
+async fn a_release_that_was_read_is_noted_without_the_store() {
+    let scratch = Scratch::new();
+    let contents = place(11);
+    published(&scratch.store, &contents).await;
+    let second = published(&scratch.store, &without_the_last(&contents)).await.release;
+    let source = ReleaseSource::open(scratch.store.clone(), &scratch.folder.path().join("cache")).unwrap();
+    assert_eq!(source.newest().await.unwrap().unwrap(), second);
+    // What else is read of the store is not what is noted.
+    let first = source.store.release(1).await.unwrap();
+    std::fs::rename(scratch.folder.path().join("city"), scratch.folder.path().join("away")).unwrap();
+    assert!(source.clone().note(&second).await && !source.note(&first).await);
+    assert_eq!(source.cache.release().unwrap(), second);
+
+    // A server that starts with what is in the cache needs the store for nothing either.
+    let restarted = ReleaseSource::open(scratch.store.clone(), &scratch.folder.path().join("cache")).unwrap();
+    assert_eq!(restarted.newest_or_cached().await.unwrap(), second);
+    assert!(restarted.note(&second).await);
+    assert_eq!(restarted.cache.release().unwrap(), second);
+}
+
 /// A server that was told to serve one release serves no other one that it happens to have.
 #[tokio::test]
 async fn a_cached_release_is_served_where_it_is_the_one_that_was_chosen() {

@@ -123,9 +123,12 @@ mod tests {
         viewer.set_keyframe_images("hall", disk.clone());
         let ask = || image(State(Arc::clone(&viewer)), Path(("hall".to_owned(), "1".to_owned())));
         let leaving = tokio::spawn(ask());
-        while disk.reading.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        let begun = async {
+            while disk.most.load(Ordering::SeqCst) == 0 {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_mins(1), begun).await.unwrap();
         leaving.abort();
         assert_eq!(ask().await.status(), StatusCode::OK);
         assert_eq!(disk.most.load(Ordering::SeqCst), 1);

@@ -321,8 +321,8 @@ impl Running {
     /// Looks for a newer release, and changes over to it together with the other servers.
     async fn follow_release(&mut self) {
         // A task of its own: if it panics, the cells are served as before.
-        let store = self.source.store.clone();
-        let looking = tokio::spawn(async move { store.newest().await });
+        let source = self.source.clone();
+        let looking = tokio::spawn(async move { source.newest().await });
         let looked = looking.await.map_err(|error| ServeError::task(&error));
         let newest = match looked.and_then(|newest| Ok(newest?)) {
             Ok(Some(newest)) if newest.number > self.release.number => newest,
@@ -360,7 +360,7 @@ impl Running {
         for cell in self.wanted(&release) {
             cells.insert(cell, StoredCell::prepare(self.origin(&release, cell), &self.memory).await?);
         }
-        // It reads the store: before the servers change over together.
+        // The disk may be slow: before the servers change over together.
         let is_noted = self.source.note(&release).await;
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;

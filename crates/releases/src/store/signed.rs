@@ -12,6 +12,12 @@ use object_store::PutMode;
 use serde::Serialize;
 use signing::SignatureError;
 
+/// A release or a candidate with its file.
+pub(crate) struct ReadRelease {
+    pub(crate) release: Release,
+    pub(crate) file: SignedFile,
+}
+
 /// A file of the store.
 pub(crate) struct SignedFile {
     pub(crate) text: Bytes,
@@ -94,7 +100,8 @@ impl ReleaseStore {
         Ok(self.read_with_signature(object).await?.map(|file| file.text))
     }
 
-    async fn read_with_signature(&self, object: &str) -> Result<Option<SignedFile>, ReleaseError> {
+    /// As [`ReleaseStore::read_signed`], with the signature.
+    pub(super) async fn read_with_signature(&self, object: &str) -> Result<Option<SignedFile>, ReleaseError> {
         let Some(text) = self.read_if_there(object, MAX_RELEASE_BYTES).await? else { return Ok(None) };
         if self.key.is_none() {
             return Ok(Some(SignedFile { text, signature: None }));

@@ -9,13 +9,13 @@ use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue}
 use ros_messages::std_msgs::Header;
 use std::time::{Duration, Instant};
 
-/// A status is stale so long after the last image.
+/// A status is stale so long after the last image that was processed.
 const STALE: Duration = Duration::from_secs(2);
 
 /// The last status.
 #[derive(Clone, Debug)]
 pub struct Diagnostics {
-    /// When the last image came; before the first one, when this was made.
+    /// When the last image was processed; before the first one, when this was made.
     pub last_image: Instant,
     /// The message.
     pub message: DiagnosticArray,
@@ -73,13 +73,16 @@ impl Diagnostics {
         key(self) != key(other)
     }
 
-    /// The message at a time.
+    /// The message at a time: stale where no image is processed any more, and an error all the same where the robot is lost.
     pub fn at(&self, now: Instant) -> DiagnosticArray {
         let mut message = self.message.clone();
         if now.duration_since(self.last_image) > STALE {
             for status in &mut message.status {
-                status.level = DiagnosticStatus::STALE;
-                status.message = format!("no image for more than {} s; {}", STALE.as_secs(), status.message);
+                if status.level != DiagnosticStatus::ERROR {
+                    status.level = DiagnosticStatus::STALE;
+                }
+                status.message =
+                    format!("no image processed for more than {} s; {}", STALE.as_secs(), status.message);
             }
         }
         message
@@ -155,11 +158,19 @@ mod tests {
     }
 
     #[test]
-    fn an_old_status_is_stale() {
-        let last = diagnostics(true, Localization::Localized, "fine");
-        assert_eq!(last.at(last.last_image + STALE).status[0].level, DiagnosticStatus::OK);
-        let stale = last.at(last.last_image + STALE + Duration::from_millis(1));
-        assert_eq!(stale.status[0].level, DiagnosticStatus::STALE);
-        assert!(stale.status[0].message.ends_with("fine"));
+    fn an_old_status_is_stale_and_a_lost_robot_stays_an_error() {
+        let later = STALE + Duration::from_millis(1);
+        for (localization, level, level_later) in [
+            (Localization::Localized, DiagnosticStatus::OK, DiagnosticStatus::STALE),
+            (Localization::Starting, DiagnosticStatus::WARN, DiagnosticStatus::STALE),
+            (Localization::Lost, DiagnosticStatus::ERROR, DiagnosticStatus::ERROR),
+        ] {
+            let last = diagnostics(true, localization, "the reason");
+            let status = |after: Duration| last.at(last.last_image + after).status.swap_remove(0);
+            assert_eq!((status(STALE).level, status(STALE).message.as_str()), (level, "the reason"));
+            let old = status(later);
+            assert_eq!(old.level, level_later);
+            assert_eq!(old.message, "no image processed for more than 2 s; the reason");
+        }
     }
 }

@@ -45,7 +45,7 @@ pub struct RosOutput {
     queue: mpsc::Sender<Outgoing>,
     /// Added to all stamps, nanoseconds.
     clock_shift_ns: i64,
-    /// When the last image came.
+    /// When the last image was processed: one that waits for readings of the IMU is not.
     last_image: Option<Instant>,
     pub(super) diagnostics: watch::Sender<Option<Diagnostics>>,
     static_transforms: watch::Sender<TFMessage>,
