@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use map::contents::MapContents;
 use map::edit;
 use map::model::{Keyframe, Landmark, LandmarkExistence};
+use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use super::located::LocatedErrors;
@@ -33,12 +34,12 @@ pub fn put_back(
 ) {
     let known: BTreeSet<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let left: BTreeSet<KeyframeId> = after.keyframes.iter().map(|keyframe| keyframe.id).collect();
-    put_back_landmarks(map, before, &after, gone);
+    let removed: BTreeSet<KeyframeId> = known.difference(&left).copied().collect();
+    put_back_landmarks(map, before, &after, &removed, gone);
     map.info = after.info;
     map.keyframes.extend(after.keyframes.into_iter().filter(|keyframe| !known.contains(&keyframe.id)));
     let is_new = |id: &KeyframeId| left.contains(id) && !known.contains(id);
     map.common_errors.extend(errors.common.into_iter().filter(|common| is_new(&common.keyframe)));
-    let removed: BTreeSet<KeyframeId> = known.difference(&left).copied().collect();
     let present: BTreeSet<KeyframeId> = map.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let cross = errors.cross.into_iter();
     map.cross_covariances.extend(cross.filter(|of| present.contains(&of.a) && present.contains(&of.b)));
@@ -49,10 +50,14 @@ pub fn put_back(
 }
 
 /// Landmarks of the part: what the recording observed of them and where they are now; those that are new, with ids beyond those of the map.
+///
+/// # Arguments
+/// * `removed`: keyframes of the part that `after` lacks. Landmarks that only got another anchor with that were not measured again.
 fn put_back_landmarks(
     map: &mut MapContents,
     before: &MapContents,
     after: &MapContents,
+    removed: &BTreeSet<KeyframeId>,
     gone: &BTreeSet<LandmarkId>,
 ) {
     let last = |contents: &MapContents| {
@@ -61,29 +66,29 @@ fn put_back_landmarks(
     let (last_of_part, last_of_map) = (last(before), last(map));
     let renamed = |id: LandmarkId| if id > last_of_part { id - last_of_part + last_of_map } else { id };
     let known: BTreeSet<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
-    let was: BTreeMap<LandmarkId, _> = before
-        .landmarks_in_global()
-        .map(|(landmark, position)| (landmark.id, (landmark.anchor, position)))
-        .collect();
+    let was: BTreeMap<LandmarkId, _> =
+        before.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
+    let mut unmeasured = before.clone();
+    edit::remove_keyframes(&mut unmeasured, removed);
+    let unmeasured: BTreeMap<LandmarkId, _> =
+        unmeasured.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
     let keyframes: BTreeMap<KeyframeId, &Keyframe> =
         map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
     map.landmarks.retain(|landmark| !(gone.contains(&landmark.id) && was.contains_key(&landmark.id)));
     let mut new: Vec<Landmark> = Vec::new();
     for (landmark, position) in after.landmarks_in_global() {
-        let Some((anchor_was, was)) = was.get(&landmark.id) else {
+        let Some(was) = was.get(&landmark.id) else {
             new.push(Landmark { id: renamed(landmark.id), ..landmark.clone() });
             continue;
         };
         let Ok(at) = map.landmarks.binary_search_by_key(&landmark.id, |of| of.id) else { continue };
         let of_map = &mut map.landmarks[at];
-        let observations = of_map.observations.len();
         let seen = landmark.observations.iter().filter(|seen| !known.contains(&seen.keyframe));
         of_map.observations.extend(seen.cloned());
-        // One that only got another anchor, since its former one was taken out of the part, was not measured again.
-        let is_measured = landmark.anchor == *anchor_was || of_map.observations.len() > observations;
+        let is_there = |other: &Vector3<f64>| (position - other).norm() <= UNMOVED_M;
         if let Some(anchor) = keyframes.get(&of_map.anchor)
-            && is_measured
-            && (position - was).norm() > UNMOVED_M
+            && !is_there(was)
+            && !unmeasured.get(&landmark.id).is_some_and(is_there)
         {
             // What an anchor beyond the border sees has no part in where the landmark is now.
             let own = of_map.observations.iter().find(|seen| seen.keyframe == anchor.id);
