@@ -180,7 +180,12 @@ impl LoadedMap {
     /// supports, and the prior is not so wide that another place could be, too.
     pub(super) fn is_told_by(&self, prior: &PosePrior, search: &Search, found: &PoseWithCovariance) -> bool {
         let prior = &prior.global_from_camera;
-        search.is_near_prior && is_supported(found, prior) && prior_radius(prior) <= self.viewing_distance()
+        search.is_near_prior && is_supported(found, prior) && self.tells_places_apart(prior)
+    }
+
+    /// Whether a prior is not so wide that the camera could be at another place that looks alike.
+    fn tells_places_apart(&self, prior: &PoseWithCovariance) -> bool {
+        prior_radius(prior) <= self.viewing_distance()
     }
 
     /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
@@ -268,7 +273,7 @@ impl LoadedMap {
         let places = group_places(self, &mut verified, options);
         let log_prior_odds = self.aliasing_rate().log_odds();
         let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
-        let telling = sufficient.prior.filter(|prior| prior_radius(prior) <= self.viewing_distance());
+        let telling = sufficient.prior.filter(|prior| self.tells_places_apart(prior));
         let place = match find_consensus(verified, &places, &hypotheses, telling, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {

@@ -68,10 +68,12 @@ fn put_back_landmarks(
     let known: BTreeSet<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let was: BTreeMap<LandmarkId, _> =
         before.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
-    let mut unmeasured = before.clone();
-    edit::remove_keyframes(&mut unmeasured, removed);
-    let unmeasured: BTreeMap<LandmarkId, _> =
-        unmeasured.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)).collect();
+    let mut unmeasured = BTreeMap::new();
+    if !removed.is_empty() {
+        let mut left = before.clone();
+        edit::remove_keyframes(&mut left, removed);
+        unmeasured.extend(left.landmarks_in_global().map(|(landmark, position)| (landmark.id, position)));
+    }
     let keyframes: BTreeMap<KeyframeId, &Keyframe> =
         map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
     map.landmarks.retain(|landmark| !(gone.contains(&landmark.id) && was.contains_key(&landmark.id)));
