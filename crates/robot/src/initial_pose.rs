@@ -312,8 +312,9 @@ impl InitialPoseSearch {
     }
 }
 
-/// Begins to search at a pose, unless the estimate has it.
+/// Begins to search at a pose, unless the estimate has it. A pose that was set before is replaced.
 fn begun(global_from_imu: &PoseWithCovariance, estimator: &mut Estimator) -> Stage {
+    estimator.forget_expected_pose();
     let mut prior = Prior {
         global_from_imu: *global_from_imu,
         local_from_imu: estimator.local_from_imu(),

@@ -25,6 +25,33 @@ fn a_wrong_state_is_rescued_by_five_answers_and_never_trusted_for_long() {
     rescued(SEEDS);
 }
 
+/// Answers of a sparse map or a dark image: half of them verify with fewer than twenty matches, none with many more. They update the state
+/// and are evidence against it.
+#[test]
+fn a_wrong_state_is_not_trusted_for_long_against_answers_of_few_matches() {
+    let failures = [DisturbedState::Position(10.0), DisturbedState::Yaw(std::f64::consts::FRAC_PI_2)];
+    let options = MonteCarloOptions {
+        runs: 3,
+        simulation: loops(3.0, 50.0, Tracks::Few),
+        answers: AnswerOptions { every_s: 0.5, max_matches: 19, ..AnswerOptions::default() },
+        disturbance: Some(Disturbance { at_s: 25.35, states: failures.to_vec() }),
+        ..MonteCarloOptions::default()
+    };
+    let variant = Variant { name: "few matches".to_owned(), config: EstimatorConfig::default(), cameras: 2 };
+    let all = run(&options, &[variant], |_| {}).unwrap();
+    let rescues = all[0].trials.iter().flat_map(|trial| &trial.rescues);
+    let (mut trusted, mut right) = (0, 0);
+    for rescue in rescues {
+        println!("{rescue:?}");
+        trusted += usize::from(rescue.wrong_s > 0.0);
+        right += usize::from(rescue.right.iter().any(|right| *right));
+        assert!(rescue.wrong_s < 4.0, "{rescue:?}");
+    }
+    assert!(trusted > 0, "no run was localized before its failure");
+    // What few answers show is often not certain enough for another pose.
+    assert!(right > 0, "none of the poses was right again");
+}
+
 #[test]
 #[ignore = "all seeds, minutes"]
 fn a_wrong_state_is_rescued_by_five_answers_with_all_seeds() {

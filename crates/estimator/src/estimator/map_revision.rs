@@ -166,14 +166,13 @@ impl Estimator {
             }
         }
         let before = (self.state.clone(), self.covariance.clone(), self.repeated_views.clone());
-        let known_in_map = self.known_in_map;
+        let (known_in_map, support) = (self.known_in_map, self.support.clone());
         self.remove_transform();
         self.covariance.invalidate(&self.held_keyframes());
         let outcome = self.verify_and_update(clone, answer, report)?;
-        // With the state from before, and a version changes little.
-        self.known_in_map = known_in_map;
         if outcome.is_err() {
             (self.state, self.covariance, self.repeated_views) = before;
+            (self.known_in_map, self.support) = (known_in_map, support);
         } else {
             self.map_version.begin(answered, query_ns);
             self.map_version.belong_to(answer.map_identity);

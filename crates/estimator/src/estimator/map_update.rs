@@ -331,7 +331,7 @@ impl Estimator {
                 let (nis, bound) = (nis.total, self.frame_gate.bound(rows));
                 return Ok(Err(self.revert_pull(&new, Rejection::Implausible { nis, rows, bound })));
             }
-            let tests_pose = iteration == 1 && !report.initialized && !exact && self.newest_fix.is_some();
+            let tests_pose = iteration == 1 && !report.initialized && !exact;
             if tests_pose && !self.contradiction_gate.accepts(nis.explained, nis.rank) {
                 let (nis, rows) = (nis.explained, nis.rank);
                 return Ok(Err(self.revert_pull(&new, Rejection::Far { nis, rows })));
@@ -340,7 +340,7 @@ impl Estimator {
                 point.at = self.next_point(clone, &information, &point)?;
                 continue;
             }
-            let view = if exact { None } else { self.view_of(clone, answer, verified) };
+            let view = if exact { None } else { self.view_of(clone, answer, verified, &keyframes) };
             if let Some(view) = &view {
                 // Gates are for what an answer says, whatever has been said before.
                 information.scale(self.weight_of(view));
@@ -364,10 +364,16 @@ impl Estimator {
     }
 
     /// What an answer shows, and from where.
-    fn view_of(&self, clone: CloneId, answer: &MapAnswer, verified: &VerifiedAnswer) -> Option<View> {
+    fn view_of(
+        &self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        verified: &VerifiedAnswer,
+        keyframes: &[KeyframeId],
+    ) -> Option<View> {
         Some(View {
             camera: answer.camera,
-            keyframe: verified.best,
+            keyframes: keyframes.into(),
             local_from_imu: self.state.clones[self.state.clone_index(clone)?].local_from_imu,
             depth_m: median_depth(answer, verified),
         })

@@ -21,8 +21,6 @@ use crate::state::{CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-/// Inliers of an answer that can be evidence against the state.
-const MIN_INLIERS: usize = 20;
 /// Successive fixes that make the pose in G untrusted.
 const UNTRUSTED_AFTER: usize = 2;
 /// The evidence against the state times this makes the pose in G untrusted where it outweighs that for it.
@@ -38,6 +36,9 @@ const MAX_TILT_RAD: f64 = 0.04;
 const NEAR: [f64; 2] = [2.0, 0.2];
 /// Error of a wrong state's biases in its own standard deviations.
 const BIAS_SIGMAS: f64 = 10.0;
+/// Factor on the variances of a pose that restarts the filter. Its keyframe is not held, so that a later answer with it counts the error
+/// of the keyframe again, as independent: both together state `f / (f + 1)` of its variance.
+const UNHELD_INFLATION: f64 = 10.0;
 
 impl Estimator {
     /// The pose by the map alone, as evidence in case that the state contradicts it.
@@ -52,9 +53,6 @@ impl Estimator {
         let (Some(index), Some(transform)) = (self.state.clone_index(clone), self.state.transform) else {
             return;
         };
-        if verified.inliers.len() < MIN_INLIERS {
-            return;
-        }
         let Some(predicted) = self.global_from_camera(clone, answer.camera) else { return };
         let together = PoseWithCovariance::new(predicted.pose, predicted.covariance + measured.covariance);
         let clone = &self.state.clones[index];
@@ -88,11 +86,10 @@ impl Estimator {
 
     /// An answer agrees with the state, and is evidence for it.
     pub(super) fn note_support(&mut self) {
+        let Some(fix) = self.newest_fix else { return };
         self.map_fixes.clear();
         self.against.clear();
-        if let Some(fix) = self.newest_fix {
-            self.support.add(fix.seen);
-        }
+        self.support.add(fix.seen);
     }
 
     /// Odometry failed: what it ties together is no longer evidence.
@@ -185,7 +182,7 @@ impl Estimator {
                 sigma_rotation: fix.sigma_rotation,
                 sigma_position: fix.sigma_position,
             };
-            self.map_initializer.won_by(answer.map_version, newest, self.map_fixes.evidence());
+            self.map_initializer.begin_with(answer.map_version, newest, self.map_fixes.evidence());
             self.lost_after = Some(self.map_fixes.len());
             (self.last_map_update_ns, self.last_gnss_update_ns) = (None, None);
             self.support.clear();
@@ -254,17 +251,17 @@ impl Estimator {
         fresh.next_clone = self.next_clone;
         fresh.support = self.map_fixes.evidence();
         fresh.last_map_update_ns = Some(initial.stamp_ns);
-        fresh.known_in_map = self.known_in_map;
         fresh.insert_fixed_transform(motion);
+        fresh.note_known();
         *self = fresh;
         Ok(())
     }
 
-    /// Adds `global_from_local` to the state by the pose of a motion in G. Its keyframe is not held, so a later answer with it
-    /// counts its error as independent: the variances are doubled, as covariance intersection would.
+    /// Adds `global_from_local` to the state by the pose of a motion in G, with variances that allow for a later answer of its keyframe.
     fn insert_fixed_transform(&mut self, motion: &FixedMotion) {
-        let variance =
-            |k: usize| 2.0 * if k < 3 { motion.sigma_rotation } else { motion.sigma_position }.powi(2);
+        let variance = |k: usize| {
+            UNHELD_INFLATION * if k < 3 { motion.sigma_rotation } else { motion.sigma_position }.powi(2)
+        };
         let covariance = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| variance(k)));
         let imu_from_local = self.state.imu.local_from_imu.inverse();
         let global_from_imu = PoseWithCovariance::new(motion.global_from_imu, covariance);
@@ -326,7 +323,10 @@ mod tests {
             estimator.insert_fixed_transform(&motion);
             let claimed = estimator.filtered_global_from_imu().unwrap();
             assert!(claimed.pose.local(&motion.global_from_imu).norm() < 1e-9);
-            let stated = Matrix6::from_diagonal(&Vector6::new(2e-4, 2e-4, 2e-4, 5e-3, 5e-3, 5e-3));
+            let (rotation, position) = (UNHELD_INFLATION * 1e-4, UNHELD_INFLATION * 2.5e-3);
+            let stated = Matrix6::from_diagonal(&Vector6::new(
+                rotation, rotation, rotation, position, position, position,
+            ));
             let off = (claimed.covariance - stated).amax();
             assert!(off < 1e-6, "{yaw} rad, {metres} m: {}", claimed.covariance);
         }

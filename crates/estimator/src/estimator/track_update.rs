@@ -125,9 +125,10 @@ impl Estimator {
             return Ok(TrackReport { stationary: true, ..TrackReport::default() });
         }
         let mut report = self.msckf_update(update, in_state)?;
+        let repeated = update.slam.repetition(self.state.stamp_ns, observations);
         let settings = SlamUpdateSettings {
-            sigma_px: self.msckf_settings.sigma_px.hypot(slam_update::COMMON_ERROR_PX),
-            lasting_error_rad: self.lasting_error_rad,
+            sigma_px: self.msckf_settings.sigma_px.hypot(slam_update::COMMON_ERROR_PX * repeated),
+            lasting_error_rad: self.lasting_error_rad * repeated,
             first_estimates: self.config.first_estimates,
             gate: &self.msckf_settings.gate,
         };
@@ -175,15 +176,15 @@ impl Estimator {
     /// Whether the tracks show a stationary body and the gate accepts it; a zero-velocity update then, if the last one is as
     /// old as the images that show it.
     fn zero_velocity_update(&mut self, rows: &mut LinearizedMeasurement) -> Result<bool, EstimatorError> {
+        let span_ns = zero_velocity::span_ns(&self.state, self.config.window);
         let stationary = self.config.zero_velocity
-            && zero_velocity::is_stationary(&self.state, &self.tracks, self.msckf_settings.sigma_px);
-        if !stationary || !zero_velocity::zero_displacement(&self.state, rows) {
+            && zero_velocity::is_stationary(&self.state, &self.tracks, self.msckf_settings.sigma_px, span_ns);
+        if !stationary || !zero_velocity::zero_displacement(&self.state, span_ns, rows) {
             return Ok(false);
         }
         let plausible = self.frame_gate.accepts(self.covariance.nis(rows)?, rows.residual.len());
         let now_ns = self.state.stamp_ns;
-        let is_due =
-            self.last_zero_velocity_ns.is_none_or(|last| now_ns - last >= zero_velocity::MIN_SPAN_NS);
+        let is_due = self.last_zero_velocity_ns.is_none_or(|last| now_ns - last >= span_ns);
         if plausible && is_due {
             self.last_zero_velocity_ns = Some(now_ns);
             self.covariance.measurement_update(rows, &mut self.correction)?;

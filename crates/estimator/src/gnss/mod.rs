@@ -14,6 +14,7 @@ pub mod watch;
 
 pub(crate) mod alignment;
 pub(crate) mod measurement;
+mod reading_order;
 
 use crate::gate::Gate;
 use crate::measurement::LinearizedMeasurement;
@@ -23,6 +24,7 @@ use config::GnssConfig;
 use geometry::PoseWithCovariance;
 use measurement::Between;
 use nalgebra::Matrix3;
+use reading_order::ReadingOrder;
 use report::GnssCounts;
 use std::collections::VecDeque;
 use types::{GnssReading, push_newest};
@@ -78,7 +80,7 @@ pub(crate) struct Gnss {
     /// Pose of the IMU in L before and after the updates at the newest image; `None` where there were none.
     pub(crate) correction: Option<[PoseWithCovariance; 2]>,
     waiting: VecDeque<GnssReading>,
-    newest_ns: Option<i64>,
+    order: ReadingOrder,
     /// The newest clones with their times by the clock of the IMU.
     clones: VecDeque<(CloneId, i64)>,
 }
@@ -95,7 +97,7 @@ impl Gnss {
             last_used_ns: None,
             correction: None,
             waiting: VecDeque::new(),
-            newest_ns: None,
+            order: ReadingOrder::default(),
             clones: VecDeque::new(),
         }
     }
@@ -107,12 +109,13 @@ impl Gnss {
             if !reading.is_valid() || !reading.position.iter().all(|value| geometry::is_coordinate(*value)) {
                 Err(BadGnssReading::Invalid { stamp_ns })
             } else {
-                self.newest_ns
-                    .filter(|previous_ns| *previous_ns >= stamp_ns)
-                    .map_or(Ok(()), |previous_ns| Err(BadGnssReading::NotNewer { stamp_ns, previous_ns }))
+                self.order.check(stamp_ns)
             };
         checked.inspect_err(|_| self.counts.refused += 1)?;
-        self.newest_ns = Some(stamp_ns);
+        if self.order.went_back() {
+            // What waits for images that have never come was from the future.
+            self.waiting.clear();
+        }
         reading.stamp_ns += (self.config.time_offset_s * 1e9).round() as i64;
         if let Some((_, image_ns)) = self.clones.back() {
             self.watch.note_apart(reading.stamp_ns.saturating_sub(*image_ns));

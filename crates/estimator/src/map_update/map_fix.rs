@@ -85,9 +85,13 @@ pub fn odometry_error(before: &Pose, moved: &Pose, after: &Pose) -> (f64, f64) {
     (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm())
 }
 
-/// Standard deviations of a pose's rotation (rad) and position (m), each along its worst axis.
+/// Standard deviations of a pose's rotation (rad) and position (m), each along its worst axis, whatever its direction.
 pub fn worst_sigmas(covariance: &Matrix6<f64>) -> (f64, f64) {
-    let sigma = |begin: usize| (begin..begin + 3).map(|k| covariance[(k, k)]).fold(0.0, f64::max).sqrt();
+    let sigma = |begin: usize| {
+        let block = covariance.fixed_view::<3, 3>(begin, begin).into_owned();
+        let is_finite = block.iter().all(|value| value.is_finite());
+        if is_finite { block.symmetric_eigenvalues().max().max(0.0).sqrt() } else { f64::INFINITY }
+    };
     (sigma(0), sigma(3))
 }
 
@@ -319,6 +323,25 @@ impl MapFixes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Matrix3;
+
+    /// The worst axis is not one of G's.
+    #[test]
+    fn the_worst_axis_does_not_depend_on_the_axes_of_the_map() {
+        let (short, long) = (Vector3::new(1e-4, 1e-4, 4e-4), Vector3::new(1e-4, 1e-4, 0.04));
+        for (yaw, pitch) in [(0.0, 0.0), (0.8, 0.0), (0.8, 0.6), (2.0, -1.2)] {
+            let turn = Rotation::from_euler_angles(0.0, pitch, yaw).to_rotation_matrix().into_inner();
+            let turned =
+                |variances: &Vector3<f64>| turn * Matrix3::from_diagonal(variances) * turn.transpose();
+            let mut covariance = Matrix6::zeros();
+            covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&turned(&short));
+            covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned(&long));
+            let (rotation, position) = worst_sigmas(&covariance);
+            assert!((rotation - 0.02).abs() < 1e-9 && (position - 0.2).abs() < 1e-9, "{rotation} {position}");
+        }
+        let unknown = Matrix6::identity() * f64::NAN;
+        assert!(worst_sigmas(&unknown).1.is_infinite());
+    }
 
     fn fix(keyframe: KeyframeId, squared: f64) -> MapFix {
         MapFix {

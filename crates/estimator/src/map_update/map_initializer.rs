@@ -4,6 +4,9 @@
 //! not initialize: each hypothesis collects the log-odds of the different places that support it, see
 //! [`place_evidence`](super::place_evidence), and wins when these exceed a likelihood ratio and those of every alternative by
 //! the same ratio. A distinctive view wins with its first answer.
+//!
+//! An answer that hardly constrains the pose agrees with several hypotheses, and is evidence for each of them: it does not tell
+//! them apart. What it lacks in agreement counts against it, by the likelihood of the displacement.
 
 use crate::map_update::map_fix::{odometry_error, worst_sigmas};
 use crate::map_update::place_evidence::{PlaceEvidence, SeenPlace};
@@ -68,21 +71,46 @@ impl FixedPose {
 
     /// Whether the motion between two fixes is that of odometry.
     fn agrees(&self, before: &Self) -> bool {
+        self.apart(before).iter().all(|apart| *apart <= SIGMAS)
+    }
+
+    /// How far the motion between two fixes is from that of odometry, rotation and translation, in standard deviations.
+    fn apart(&self, before: &Self) -> [f64; 2] {
         let moved = before.local_from_imu.inverse() * self.local_from_imu;
         let (turned, shifted) = odometry_error(&before.global_from_imu, &moved, &self.global_from_imu);
         let distance = moved.translation.norm();
         let sigma_rotation = self.sigma_rotation.hypot(before.sigma_rotation);
         let sigma_position = self.sigma_position.hypot(before.sigma_predicted(self));
-        turned <= SIGMAS * sigma_rotation + DRIFT_RAD_M * distance
-            && shifted <= SIGMAS * sigma_position + DRIFT_FRACTION * distance
+        [
+            turned / (sigma_rotation + DRIFT_RAD_M / SIGMAS * distance),
+            shifted / (sigma_position + DRIFT_FRACTION / SIGMAS * distance),
+        ]
+    }
+
+    /// Whether it says more about where the robot is now than an earlier one does after the drift of odometry.
+    fn is_as_certain_as(&self, before: &Self) -> bool {
+        let distance = (self.local_from_imu.translation - before.local_from_imu.translation).norm();
+        self.sigma_position <= before.sigma_predicted(self) + DRIFT_FRACTION / SIGMAS * distance
     }
 }
 
-/// A hypothesis: the pose of the newest answer that agrees with it, and the places of all of them.
+/// A hypothesis: the most certain of the poses of the answers that agree with it, and the places of all of them.
 #[derive(Clone, Debug)]
 struct Hypothesis {
-    newest: FixedPose,
+    pose: FixedPose,
     evidence: PlaceEvidence,
+}
+
+impl Hypothesis {
+    /// Adds an answer that agrees with it. Two that agree are about a standard deviation apart in rotation and position; what is beyond
+    /// that is less likely than the answer is by itself.
+    fn add(&mut self, fix: &Fix) {
+        let squared: f64 = fix.pose.apart(&self.pose).iter().map(|apart| apart * apart).sum();
+        self.evidence.add(fix.seen.less_likely_by(0.5 * (squared - 2.0).max(0.0)));
+        if fix.pose.is_as_certain_as(&self.pose) {
+            self.pose = fix.pose;
+        }
+    }
 }
 
 /// How far the evidence for a map initialization is.
@@ -129,29 +157,27 @@ pub struct MapInitializer {
     hypotheses: Vec<Hypothesis>,
     /// Where the robot is according to its operator.
     expected: Option<FixedPose>,
-    /// The hypothesis that has won against a state already.
-    won: Option<Box<Hypothesis>>,
     dropped: usize,
 }
 
 impl MapInitializer {
-    /// Adds an answer to the hypothesis that it agrees with, or as a new one.
+    /// Adds an answer to the hypotheses that it agrees with, or as a new one.
     pub fn add(&mut self, map_version: u64, fix: Fix) -> Decision {
         if self.map_version != Some(map_version) {
             self.hypotheses.clear();
-            self.won = None;
             self.map_version = Some(map_version);
         }
-        if let Some(won) = self.won.as_mut().filter(|won| fix.pose.agrees(&won.newest)) {
-            won.newest = fix.pose;
-            return Decision::Initialize(won.evidence.clone());
+        let agrees = |hypothesis: &Hypothesis| fix.pose.agrees(&hypothesis.pose);
+        let mut agreeing: Vec<usize> =
+            (0..self.hypotheses.len()).filter(|&at| agrees(&self.hypotheses[at])).collect();
+        if agreeing.is_empty() {
+            agreeing.push(self.insert(fix.pose));
         }
-        let own = match self.hypotheses.iter().position(|hypothesis| fix.pose.agrees(&hypothesis.newest)) {
-            Some(known) => known,
-            None => self.insert(fix.pose),
-        };
-        self.hypotheses[own].newest = fix.pose;
-        self.hypotheses[own].evidence.add(fix.seen);
+        for &at in &agreeing {
+            self.hypotheses[at].add(&fix);
+        }
+        let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
+        let own = agreeing.into_iter().max_by(|a, b| odds(a).total_cmp(&odds(b))).unwrap_or(0);
         let waiting = self.against(own);
         if waiting.is_over() {
             self.dropped += self.hypotheses.len() - 1;
@@ -161,7 +187,7 @@ impl MapInitializer {
     }
 
     /// A new hypothesis; the weakest gives way to it.
-    fn insert(&mut self, newest: FixedPose) -> usize {
+    fn insert(&mut self, pose: FixedPose) -> usize {
         if self.hypotheses.len() == MAX_HYPOTHESES {
             let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
             let weakest = (0..self.hypotheses.len()).min_by(|a, b| odds(a).total_cmp(&odds(b)));
@@ -170,15 +196,15 @@ impl MapInitializer {
             }
             self.dropped += 1;
         }
-        self.hypotheses.push(Hypothesis { newest, evidence: PlaceEvidence::default() });
+        self.hypotheses.push(Hypothesis { pose, evidence: PlaceEvidence::default() });
         self.hypotheses.len() - 1
     }
 
     /// What an operator says is evidence for the hypothesis that agrees with it, and the less the larger the area is in which it would.
     fn log_odds(&self, hypothesis: &Hypothesis) -> f64 {
-        let expected = self.expected.filter(|expected| hypothesis.newest.agrees(expected));
+        let expected = self.expected.filter(|expected| hypothesis.pose.agrees(expected));
         let by_operator = expected.map_or(0.0, |expected| {
-            let wider = (expected.sigma_predicted(&hypothesis.newest) / EXPECTED_SIGMA_M).max(1.0);
+            let wider = (expected.sigma_predicted(&hypothesis.pose) / EXPECTED_SIGMA_M).max(1.0);
             (REQUIRED_ODDS.ln() - 2.0 * wider.ln()).max(0.0)
         });
         hypothesis.evidence.log_odds() + by_operator
@@ -214,27 +240,27 @@ impl MapInitializer {
         std::mem::take(&mut self.dropped)
     }
 
-    /// A hypothesis that won against a state initializes with the next answer that agrees with it.
+    /// Begins with the hypothesis that won against a state.
     ///
     /// # Arguments
-    /// * `newest`: of its answers.
-    pub fn won_by(&mut self, map_version: u64, newest: FixedPose, evidence: PlaceEvidence) {
+    /// * `pose`: of the newest of its answers.
+    pub fn begin_with(&mut self, map_version: u64, pose: FixedPose, evidence: PlaceEvidence) {
         self.map_version = Some(map_version);
         self.hypotheses.clear();
-        self.won = Some(Box::new(Hypothesis { newest, evidence }));
+        self.hypotheses.push(Hypothesis { pose, evidence });
     }
 
     /// Odometry failed: answers from before say nothing about `global_from_local` any more, nor does the operator.
     pub fn note_odometry_failure(&mut self) {
         self.dropped += self.hypotheses.len();
         self.hypotheses.clear();
-        (self.won, self.expected) = (None, None);
+        self.expected = None;
     }
 
     /// Forgets all hypotheses: `global_from_local` is known.
     pub fn clear(&mut self) {
         self.hypotheses.clear();
-        (self.won, self.expected) = (None, None);
+        self.expected = None;
     }
 }
 
@@ -296,6 +322,58 @@ mod tests {
         let waiting = first.waiting().unwrap();
         assert!((waiting.log_odds - 1.0).abs() < 1e-12);
         assert_eq!(waiting.to_string(), "waits for a more distinctive view: odds 2.72 of 7");
+    }
+
+    /// The same with a standard deviation of the position, metres.
+    fn vague(x: f64, displaced: f64, log_odds: f64, sigma_position: f64) -> Fix {
+        let fix = fix(x, displaced, log_odds);
+        Fix { pose: FixedPose { sigma_position, sigma_rotation: 0.05, ..fix.pose }, ..fix }
+    }
+
+    #[test]
+    fn a_vague_answer_gives_no_wrong_aisle_its_evidence() {
+        // Right, within 2.5 m of the next aisle, which looks alike.
+        let mut first = MapInitializer::default();
+        assert!(!initializes(&mut first, vague(0.0, 0.0, 1.5, 1.0)));
+        assert!(
+            !initializes(&mut first, fix(3.0, 2.5, 0.6)),
+            "2.5 standard deviations are a twentieth as likely"
+        );
+        // The right aisle gets all of it.
+        let mut first = MapInitializer::default();
+        assert!(!initializes(&mut first, vague(0.0, 0.0, 1.5, 1.0)));
+        assert!(initializes(&mut first, fix(3.0, 0.3, 0.6)));
+    }
+
+    #[test]
+    fn an_answer_that_agrees_with_two_hypotheses_decides_nothing_between_them() {
+        let mut first = MapInitializer::default();
+        assert!(!initializes(&mut first, fix(0.0, 0.0, 1.0)));
+        assert!(!initializes(&mut first, fix(0.0, 1.0, 1.1)));
+        for x in [4.0, 8.0, 12.0] {
+            assert!(!initializes(&mut first, vague(x, 0.5, 2.0, 1.0)));
+        }
+        assert!(initializes(&mut first, fix(16.0, 0.0, 2.5)));
+    }
+
+    #[test]
+    fn the_most_certain_pose_of_a_hypothesis_is_kept() {
+        let mut first = MapInitializer::default();
+        assert!(!initializes(&mut first, fix(0.0, 0.0, 0.5)));
+        assert!(!initializes(&mut first, vague(3.0, 1.0, 0.5, 1.0)));
+        // It would agree with the vague one, and not with what is known: another place.
+        assert!(!initializes(&mut first, fix(6.0, 2.0, 1.0)));
+        assert_eq!(first.hypotheses.len(), 2);
+    }
+
+    #[test]
+    fn what_won_against_a_state_is_weighed_with_what_comes_after_it() {
+        let evidence: PlaceEvidence = [fix(0.0, 0.0, 2.5).seen].into_iter().collect();
+        let mut first = MapInitializer::default();
+        first.begin_with(1, fix(0.0, 0.0, 0.0).pose, evidence.clone());
+        assert!(initializes(&mut first, fix(3.0, 0.0, 0.1)));
+        first.begin_with(1, fix(0.0, 0.0, 0.0).pose, evidence);
+        assert!(!initializes(&mut first, fix(3.0, 0.0, -1.0)), "what is not seen there counts against it");
     }
 
     #[test]

@@ -41,6 +41,14 @@ impl SeenPlace {
         Self { centre, spread: variance.sqrt(), log_ratio, answers: 1.0, log_prior_odds }
     }
 
+    /// The same with a likelihood ratio that is smaller by a factor.
+    ///
+    /// # Arguments
+    /// * `log_factor`: its natural logarithm.
+    pub fn less_likely_by(self, log_factor: f64) -> Self {
+        Self { log_ratio: self.log_ratio - log_factor, ..self }
+    }
+
     /// Whether it shows the same as another one: their landmarks overlap, or may be those of one picture.
     fn is_same(&self, other: &Self) -> bool {
         (self.centre - other.centre).norm() <= self.spread.max(other.spread).max(PICTURE_M)

@@ -10,23 +10,24 @@
 
 use crate::KeyframeId;
 use geometry::Pose;
+use smallvec::SmallVec;
 
 /// Images are from one place if the camera has moved less than this in between, in parts of the distance of what it sees.
 const NEAR: f64 = 0.02;
 /// And turned by less than this, rad.
 const TURNED_RAD: f64 = 0.05;
-/// Places that are remembered: one for each camera and keyframe.
+/// Places that are remembered: one for each camera, and for keyframes that no answer has in common.
 const MOST: usize = 64;
 /// Growth of a standard deviation with which the state has forgotten the answers from a place.
 const FORGOTTEN: f64 = 1.5;
 
 /// What tells the views of one place from each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct View {
     /// Camera of the image.
     pub(crate) camera: usize,
-    /// The keyframe that shows most of it.
-    pub(crate) keyframe: KeyframeId,
+    /// The keyframes that the answer is used with.
+    pub(crate) keyframes: SmallVec<[KeyframeId; 8]>,
     /// IMU pose in L at the image.
     pub(crate) local_from_imu: Pose,
     /// Distance of what it sees, metres.
@@ -40,14 +41,17 @@ impl View {
         turned < TURNED_RAD && moved < NEAR * self.depth_m
     }
 
+    /// Whether pixels of both, of the image and of the map, may be the same ones.
     fn is_alike(&self, other: &Self) -> bool {
-        (self.camera, self.keyframe) == (other.camera, other.keyframe)
+        self.camera == other.camera
+            && self.keyframes.iter().any(|keyframe| other.keyframes.contains(keyframe))
     }
 }
 
 /// A view, and the answers to it.
 #[derive(Clone, Debug)]
 struct AnsweredView {
+    /// The first of them, with the keyframes of all.
     first: View,
     answers: u32,
     /// The least standard deviations of the pose in G after any of them: rad, metres.
@@ -55,6 +59,21 @@ struct AnsweredView {
 }
 
 impl AnsweredView {
+    /// Both as one: seen from where the older one was.
+    fn together(self, older: Self) -> Self {
+        let mut first = older.first;
+        for keyframe in self.first.keyframes {
+            if !first.keyframes.contains(&keyframe) {
+                first.keyframes.push(keyframe);
+            }
+        }
+        Self {
+            first,
+            answers: self.answers.max(older.answers),
+            sigmas: (self.sigmas.0.min(older.sigmas.0), self.sigmas.1.min(older.sigmas.1)),
+        }
+    }
+
     /// Whether a state with these standard deviations knows less than the answers told.
     fn is_forgotten(&self, sigmas: (f64, f64)) -> bool {
         sigmas.0 > FORGOTTEN * self.sigmas.0 || sigmas.1 > FORGOTTEN * self.sigmas.1
@@ -68,18 +87,15 @@ pub(crate) struct RepeatedViews {
 }
 
 impl RepeatedViews {
-    /// How much an answer counts; views of other places are forgotten.
+    /// How much an answer counts; views of other places are forgotten, and those of which the state knows less than they told.
     ///
     /// # Arguments
     /// * `sigmas`: standard deviations of the pose in G before it: rad, metres.
     pub(crate) fn weight(&mut self, view: &View, sigmas: (f64, f64)) -> f64 {
-        self.views.retain(|known| known.first.is_near(view));
-        let Some(at) = self.views.iter().position(|known| known.first.is_alike(view)) else { return 1.0 };
-        if self.views[at].is_forgotten(sigmas) {
-            self.views.remove(at);
-            return 1.0;
-        }
-        f64::from(self.views[at].answers.saturating_add(1)).powi(-2)
+        self.views.retain(|known| known.first.is_near(view) && !known.is_forgotten(sigmas));
+        let alike = self.views.iter().filter(|known| known.first.is_alike(view));
+        let answers = alike.map(|known| known.answers).max().unwrap_or(0);
+        f64::from(answers.saturating_add(1)).powi(-2)
     }
 
     /// Notes an answer that was used.
@@ -87,13 +103,13 @@ impl RepeatedViews {
     /// # Arguments
     /// * `sigmas`: standard deviations of the pose in G after it.
     pub(crate) fn note(&mut self, view: &View, sigmas: (f64, f64)) {
-        let known = self.views.iter().position(|known| known.first.is_alike(view));
-        let mut answered = match known {
-            Some(at) => self.views.remove(at),
-            None => AnsweredView { first: *view, answers: 0, sigmas },
-        };
+        // An answer with keyframes of several makes them one.
+        let (alike, others): (Vec<_>, Vec<_>) =
+            self.views.drain(..).partition(|known| known.first.is_alike(view));
+        self.views = others;
+        let new = AnsweredView { first: view.clone(), answers: 0, sigmas };
+        let mut answered = alike.into_iter().fold(new, AnsweredView::together);
         answered.answers = answered.answers.saturating_add(1);
-        answered.sigmas = (answered.sigmas.0.min(sigmas.0), answered.sigmas.1.min(sigmas.1));
         if self.views.len() == MOST {
             self.views.remove(0);
         }
@@ -115,7 +131,7 @@ mod tests {
 
     fn view(camera: usize, keyframe: u64, x: f64) -> View {
         let local_from_imu = Pose { translation: Vector3::x() * x, ..Pose::identity() };
-        View { camera, keyframe, local_from_imu, depth_m: 3.0 }
+        View { camera, keyframes: SmallVec::from_slice(&[keyframe]), local_from_imu, depth_m: 3.0 }
     }
 
     fn answered(views: &mut RepeatedViews, view: &View) -> f64 {
@@ -143,6 +159,21 @@ mod tests {
         assert!(answered(&mut views, &view(0, 7, 0.1)) >= 1.0);
         // It is not where it was, also when it comes back: the next images differ from the first ones.
         assert!(answered(&mut views, &view(0, 7, 0.0)) >= 1.0);
+    }
+
+    /// The keyframes of a dock: each answer is used with some of them, and another one shows most of it.
+    #[test]
+    fn answers_that_share_a_keyframe_count_for_less_than_two_whichever_is_the_best() {
+        let mut views = RepeatedViews::default();
+        let used = [[7, 8, 9], [8, 9, 10], [9, 10, 7], [10, 7, 8]];
+        let all: f64 = (0..400)
+            .map(|step| {
+                let keyframes = SmallVec::from_slice(&used[step % 4]);
+                answered(&mut views, &View { keyframes, ..view(0, 0, 0.0) })
+            })
+            .sum();
+        assert!((1.6..1.65).contains(&all), "{all}");
+        assert!(answered(&mut views, &view(0, 11, 0.0)) >= 1.0);
     }
 
     #[test]

@@ -13,6 +13,8 @@
 //!   known (0.02 rad/s move a pixel by 5 px in half a second) moves compensated ones.
 //! * The estimated displacement must pass a chi-square test.
 //! * Images within half a second show the same lack of motion, so the update is made once in that time.
+//! * What a pixel does not show is stated as uncertain: of points twenty metres away, a shift of a third of a pixel is centimetres.
+//! * A window of images at a high rate is shorter than half a second. It shows less, and that is used.
 
 use crate::calibration::CalibratedCamera;
 use crate::camera_vote::most_are_still;
@@ -23,8 +25,10 @@ use geometry::Pose;
 use nalgebra::{Vector2, Vector3};
 use smallvec::SmallVec;
 
-/// Minimum time between both pixels of a pair, nanoseconds.
-pub const MIN_SPAN_NS: i64 = 450_000_000;
+/// Minimum time between both pixels of a pair, nanoseconds, where the window is long enough.
+const MIN_SPAN_NS: i64 = 450_000_000;
+/// Part of the window between both pixels of a pair where it is not: times of images jitter.
+const PART_OF_WINDOW: f64 = 0.9;
 /// Minimum number of tracks.
 const MIN_TRACKS: usize = 12;
 /// Maximum median displacement in units of the pixel noise. Noise alone gives 1.66: both pixels of a pair
@@ -38,9 +42,13 @@ const NEGLIGIBLE_SHIFT_PX: f64 = 0.3;
 const MEDIAN_SIGMA: f64 = 1.2533;
 /// Standard deviation of normal values in units of their median absolute deviation.
 const SIGMA_PER_MAD: f64 = 1.4826;
-/// Standard deviation of the displacement of a stationary body in half a second, metres: that of a point five metres away is
-/// a pixel.
+/// Standard deviation of the displacement of a stationary body in half a second, metres, beside what the image does not show.
 const SIGMA_DISPLACEMENT_M: f64 = 0.01;
+/// Distance of a median point from the centre of an image in units of the focal length: motion along the axis of the camera shifts it by
+/// this part of what motion across it does.
+const OFF_CENTRE: f64 = 0.4;
+/// Minimum number of SLAM features whose distances are known, for their median.
+const MIN_DISTANCES: usize = 5;
 /// Begin of the position in the error of a pose.
 const POSITION: usize = 3;
 
@@ -54,14 +62,25 @@ struct PixelPair {
     now: Vector2<f64>,
 }
 
-/// Whether the tracks of the newest image show that the body has not moved for at least half a second, by most of the cameras (of a
-/// stereo pair the first one) that see enough.
+/// Time between both pixels of a pair, nanoseconds: half a second, or most of a window that is shorter.
+///
+/// # Arguments
+/// * `window`: clones of the window beside the newest one.
+pub fn span_ns(state: &ActiveState, window: usize) -> i64 {
+    let clones = &state.clones[state.clones.len().saturating_sub(window + 1)..];
+    let [first, .., last] = clones else { return MIN_SPAN_NS };
+    let between_two = (last.stamp_ns - first.stamp_ns) as f64 / (clones.len() - 1) as f64;
+    MIN_SPAN_NS.min((PART_OF_WINDOW * between_two * window as f64) as i64)
+}
+
+/// Whether the tracks of the newest image show that the body has not moved since the images before `span_ns`, by most of the cameras (of
+/// a stereo pair the first one) that see enough.
 ///
 /// # Arguments
 /// * `sigma_px`: noise of tracked pixels, px.
-pub fn is_stationary(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> bool {
+pub fn is_stationary(state: &ActiveState, tracks: &TrackStore, sigma_px: f64, span_ns: i64) -> bool {
     let cameras = state.calibration.cameras.iter().enumerate();
-    most_are_still(cameras.map(|camera| is_still_in(state, tracks, camera, sigma_px))) == Some(true)
+    most_are_still(cameras.map(|camera| is_still_in(state, tracks, camera, sigma_px, span_ns))) == Some(true)
 }
 
 /// Whether the tracks of a camera show that; `None` where they are too few.
@@ -70,6 +89,7 @@ fn is_still_in(
     tracks: &TrackStore,
     (camera, calibrated): (usize, &CalibratedCamera),
     sigma_px: f64,
+    span_ns: i64,
 ) -> Option<bool> {
     let newest = state.clones.last()?;
     let now = newest.local_from_imu * calibrated.imu_from_camera;
@@ -79,7 +99,7 @@ fn is_still_in(
     for (old, pixel_then, pixel_now) in tracks.pairs_with(newest.id, camera) {
         let Some(index) = state.clone_index(old) else { continue };
         let clone = &state.clones[index];
-        if newest.stamp_ns - clone.stamp_ns < MIN_SPAN_NS {
+        if newest.stamp_ns - clone.stamp_ns < span_ns {
             continue;
         }
         let then = clone.local_from_imu * calibrated.imu_from_camera;
@@ -150,10 +170,25 @@ fn rotated(
     calibrated.camera.project(&ray).ok()
 }
 
-/// The whitened measurement that the newest clone is where the one of half a second ago was, into `rows`; `false` without one.
-pub fn zero_displacement(state: &ActiveState, rows: &mut LinearizedMeasurement) -> bool {
+/// Standard deviation of a displacement that the tracks do not show, metres: with the distance of the SLAM features, where there are some,
+/// that which shifts their pixels by what counts as none.
+fn sigma_displacement_m(state: &ActiveState) -> f64 {
+    let Some(newest) = state.clones.last() else { return SIGMA_DISPLACEMENT_M };
+    let shifts = state.slam_features.iter().filter_map(|feature| {
+        let camera = state.calibration.cameras.get(usize::from(feature.camera))?;
+        let [fx, fy] = camera.camera.focal;
+        let distance = (feature.position - newest.local_from_imu.translation).norm();
+        Some(NEGLIGIBLE_SHIFT_PX * distance / (OFF_CENTRE * (0.5 * (fx + fy))))
+    });
+    let mut shifts: Values = shifts.collect();
+    let unseen = if shifts.len() < MIN_DISTANCES { 0.0 } else { median(&mut shifts) };
+    SIGMA_DISPLACEMENT_M.hypot(unseen)
+}
+
+/// The whitened measurement that the newest clone is where the one before `span_ns` was, into `rows`; `false` without one.
+pub fn zero_displacement(state: &ActiveState, span_ns: i64, rows: &mut LinearizedMeasurement) -> bool {
     let Some(newest) = state.clones.last() else { return false };
-    let is_older = |clone: &ClonedPose| newest.stamp_ns - clone.stamp_ns >= MIN_SPAN_NS;
+    let is_older = |clone: &ClonedPose| newest.stamp_ns - clone.stamp_ns >= span_ns;
     let Some(before) = state.clones.iter().rposition(is_older) else { return false };
     let position = |index: usize| {
         let begin = state.clones_begin() + POSE_DIM * index + POSITION;
@@ -164,13 +199,14 @@ pub fn zero_displacement(state: &ActiveState, rows: &mut LinearizedMeasurement) 
     rows.blocks.active.extend([position(before), position(state.clones.len() - 1)]);
     rows.upper_triangular = false;
     rows.jacobian.reset(3, 6);
+    let sigma = sigma_displacement_m(state);
     for k in 0..3 {
-        rows.jacobian[(k, k)] = -1.0 / SIGMA_DISPLACEMENT_M;
-        rows.jacobian[(k, 3 + k)] = 1.0 / SIGMA_DISPLACEMENT_M;
+        rows.jacobian[(k, k)] = -1.0 / sigma;
+        rows.jacobian[(k, 3 + k)] = 1.0 / sigma;
     }
     let moved = newest.local_from_imu.translation - state.clones[before].local_from_imu.translation;
     rows.residual.clear();
-    rows.residual.extend(moved.iter().map(|moved| -moved / SIGMA_DISPLACEMENT_M));
+    rows.residual.extend(moved.iter().map(|moved| -moved / sigma));
     true
 }
 
@@ -179,7 +215,7 @@ mod tests {
     use super::*;
     use crate::calibration::{Calibration, OnlineCalibration};
     use crate::propagation::{ImuState, MotionEstimate};
-    use crate::state::{CloneId, ClonedPose};
+    use crate::state::{CloneId, ClonedPose, SlamFeature};
     use geometry::{Camera, Distortion, rotation};
     use nalgebra::DVector;
     use rand::{RngExt as _, SeedableRng, rngs::StdRng};
@@ -253,7 +289,7 @@ mod tests {
             slam_features: Vec::new(),
             clones,
         };
-        is_stationary(&state, &tracks, 1.0)
+        is_stationary(&state, &tracks, 1.0, MIN_SPAN_NS)
     }
 
     #[test]
@@ -287,14 +323,56 @@ mod tests {
     }
 
     #[test]
+    fn at_a_high_rate_most_of_the_window_is_used() {
+        let mut scene = crate::test_scene::scene(false);
+        let count = scene.state.clones.len();
+        let mut span = |interval_ns: i64, window: usize| {
+            for (k, clone) in scene.state.clones.iter_mut().enumerate() {
+                clone.stamp_ns = k as i64 * interval_ns;
+            }
+            span_ns(&scene.state, window)
+        };
+        // Of 21 clones at 20 Hz, and of those that there are so far.
+        for window in [20, count - 1] {
+            assert_eq!(span(1_000_000_000 / window as i64, window), MIN_SPAN_NS);
+        }
+        // Two cameras of 30 Hz each that are triggered apart.
+        let span = span(16_666_667, 20);
+        assert!((290_000_000..310_000_000).contains(&span), "{span}");
+    }
+
+    #[test]
+    fn the_further_away_the_features_the_less_is_stated() {
+        let mut scene = crate::test_scene::scene(false);
+        let feature = |position| SlamFeature {
+            feature_id: 0,
+            position,
+            first_estimate: position,
+            gated_in_a_row: 0,
+            camera: 0,
+            last_seen: CloneId(0),
+        };
+        let here = scene.state.clones.last().unwrap().local_from_imu.translation;
+        let mut sigma = |metres: f64, count: usize| {
+            scene.state.slam_features = vec![feature(here + Vector3::x() * metres); count];
+            sigma_displacement_m(&scene.state)
+        };
+        assert!((sigma(40.0, 2) - SIGMA_DISPLACEMENT_M).abs() < 1e-12, "too few to tell");
+        assert!(sigma(2.0, 9) < 1.2 * SIGMA_DISPLACEMENT_M);
+        assert!((0.02..0.1).contains(&sigma(20.0, 9)));
+        assert!(sigma(40.0, 9) > 1.9 * sigma(20.0, 9));
+    }
+
+    #[test]
     fn the_displacement_is_linear_in_the_errors_of_two_clones() {
         let mut scene = crate::test_scene::scene(false);
+        scene.state.slam_features.clear();
         let mut rows = LinearizedMeasurement::default();
-        assert!(!zero_displacement(&scene.state, &mut rows), "all images within half a second");
+        assert!(!zero_displacement(&scene.state, MIN_SPAN_NS, &mut rows), "all images within half a second");
         for (k, clone) in scene.state.clones.iter_mut().enumerate() {
             clone.stamp_ns = k as i64 * 100_000_000;
         }
-        assert!(zero_displacement(&scene.state, &mut rows));
+        assert!(zero_displacement(&scene.state, MIN_SPAN_NS, &mut rows));
         let before = rows.residual.clone();
         let error = DVector::from_fn(scene.state.dim(), |k, _| 0.01 * (k as f64).sin());
         let mut expected = before.clone();
@@ -312,7 +390,7 @@ mod tests {
             "the newest and the one 0.5 s before"
         );
         scene.state.retract(&error);
-        assert!(zero_displacement(&scene.state, &mut rows));
+        assert!(zero_displacement(&scene.state, MIN_SPAN_NS, &mut rows));
         for (value, expected) in rows.residual.iter().zip(&expected) {
             assert!((value - expected).abs() < 1e-9, "{value} {expected}");
         }
