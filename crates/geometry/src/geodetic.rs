@@ -8,6 +8,8 @@ const FLATTENING: f64 = 1.0 / 298.257_223_563;
 const ECCENTRICITY_SQUARED: f64 = FLATTENING * (2.0 - FLATTENING);
 /// Altitudes beyond are of no robot, metres.
 const MAX_ALTITUDE_M: f64 = 1e5;
+/// Iterations to the latitude of a position; below [`MAX_ALTITUDE_M`] each leaves less than a ten-thousandth of the error.
+const LATITUDE_ITERATIONS: usize = 4;
 
 /// A position on WGS 84.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +39,34 @@ impl Geodetic {
         let along_axis_m = (normal_m * (1.0 - ECCENTRICITY_SQUARED) + self.altitude_m) * sine;
         Vector3::new(from_axis_m * ahead, from_axis_m * east, along_axis_m)
     }
+
+    /// The inverse of [`Geodetic::in_earth`], to rounding precision within 100 km of the ellipsoid.
+    ///
+    /// # Arguments
+    /// * `position`: in the frame of the earth, metres.
+    ///
+    /// # Returns
+    /// With a longitude of -180 to 180 degrees.
+    ///
+    /// Source: Bowring, "Transformation from spatial to geographical coordinates", Survey Review 1976.
+    pub fn from_earth(position: &Vector3<f64>) -> Self {
+        let pole_m = EQUATOR_M * (1.0 - FLATTENING);
+        let second_eccentricity_squared = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED);
+        let (from_axis_m, along_axis_m) = (position.x.hypot(position.y), position.z);
+        let mut latitude = along_axis_m.atan2((1.0 - ECCENTRICITY_SQUARED) * from_axis_m);
+        for _ in 0..LATITUDE_ITERATIONS {
+            let (sine, cosine) = ((1.0 - FLATTENING) * latitude.sin()).atan2(latitude.cos()).sin_cos();
+            latitude = (along_axis_m + second_eccentricity_squared * pole_m * sine.powi(3))
+                .atan2(from_axis_m - ECCENTRICITY_SQUARED * EQUATOR_M * cosine.powi(3));
+        }
+        let (sine, cosine) = latitude.sin_cos();
+        let surface_m = EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED * sine * sine).sqrt();
+        Self {
+            latitude_deg: latitude.to_degrees(),
+            longitude_deg: position.y.atan2(position.x).to_degrees(),
+            altitude_m: from_axis_m * cosine + along_axis_m * sine - surface_m,
+        }
+    }
 }
 
 /// A frame that is tangential to the ellipsoid: x east, y north, z up.
@@ -48,6 +78,7 @@ impl Geodetic {
 /// let above = Geodetic { altitude_m: 520.0, ..origin };
 /// let position = EnuFrame::at(&origin).position(&above);
 /// assert!((position - nalgebra::Vector3::new(0.0, 0.0, 20.0)).norm() < 1e-6);
+/// assert!((EnuFrame::at(&origin).geodetic(&position).altitude_m - 520.0).abs() < 1e-6);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnuFrame {
@@ -78,11 +109,50 @@ impl EnuFrame {
     pub fn position(&self, of: &Geodetic) -> Vector3<f64> {
         self.enu_from_earth * (of.in_earth() - self.origin_in_earth)
     }
+
+    /// Latitude, longitude (-180 to 180 degrees) and altitude of a position in this frame (metres): the inverse of
+    /// [`EnuFrame::position`].
+    pub fn geodetic(&self, position: &Vector3<f64>) -> Geodetic {
+        Geodetic::from_earth(&(self.enu_from_earth.transpose() * position + self.origin_in_earth))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_position_is_found_again_by_its_latitude_longitude_and_altitude(
+            latitude in -90.0..=90.0_f64,
+            longitude in -180.0..=360.0_f64,
+            altitude in -1e4..MAX_ALTITUDE_M,
+            [east, north, up] in [-1e5..1e5_f64, -1e5..1e5_f64, -1e3..1e4_f64],
+        ) {
+            let origin = at(latitude, longitude, altitude);
+            let frame = EnuFrame::at(&origin);
+            let position = Vector3::new(east, north, up);
+            let found = frame.geodetic(&position);
+            prop_assert!((frame.position(&found) - position).norm() < 1e-6, "{:?}", found);
+            let again = frame.geodetic(&Vector3::zeros());
+            prop_assert!((again.latitude_deg - latitude).abs() < 1e-9 && (again.altitude_m - altitude).abs() < 1e-6);
+            // Longitudes say less near a pole.
+            let turned = (again.longitude_deg - longitude).to_radians().sin();
+            prop_assert!(turned.abs() * latitude.to_radians().cos() < 1e-12, "{:?}", again);
+        }
+    }
+
+    #[test]
+    fn poles_have_a_latitude_and_an_altitude() {
+        for (latitude, z) in [(90.0, 6_356_852.314_245), (-90.0, -6_356_852.314_245)] {
+            let found = Geodetic::from_earth(&Vector3::new(0.0, 0.0, z));
+            assert!(
+                (found.latitude_deg - latitude).abs() < 1e-12 && (found.altitude_m - 100.0).abs() < 1e-5,
+                "{found:?}"
+            );
+        }
+    }
 
     fn at(latitude_deg: f64, longitude_deg: f64, altitude_m: f64) -> Geodetic {
         Geodetic { latitude_deg, longitude_deg, altitude_m }

@@ -3,14 +3,8 @@
 use super::SensorTopics;
 use anyhow::Result;
 use geometry::{EnuFrame, Geodetic};
-use nalgebra::Vector3;
 use protocol::sensors::{GnssMessage, WheelMessage};
 use sensors::{Contents, GnssReading, MAX_WHEELS, SensorCalibration, WheelReading, WheelReadings};
-
-/// Mean radius of the earth, metres.
-const EARTH_M: f64 = 6.371e6;
-/// Steps to latitude and longitude, each of which leaves some hundredths of the error.
-const STEPS: usize = 8;
 
 /// Publishes them, or warns once that they are not published.
 pub(super) struct SideReadings {
@@ -66,7 +60,7 @@ impl SideReadings {
     pub(super) fn gnss(&mut self, topics: &dyn SensorTopics, reading: &GnssReading) -> Result<bool> {
         let position = match &self.origin {
             Some(origin) => {
-                let found = geodetic(origin, &reading.position);
+                let found = EnuFrame::at(origin).geodetic(&reading.position);
                 [found.latitude_deg, found.longitude_deg, found.altitude_m]
             }
             None => reading.position.into(),
@@ -83,38 +77,15 @@ impl SideReadings {
     }
 }
 
-/// Latitude, longitude and altitude of a position in the frame of an origin.
-fn geodetic(origin: &Geodetic, position: &Vector3<f64>) -> Geodetic {
-    let frame = EnuFrame::at(origin);
-    let mut found = *origin;
-    for _ in 0..STEPS {
-        let off = position - frame.position(&found);
-        let parallel_m = EARTH_M * found.latitude_deg.to_radians().cos();
-        found.latitude_deg += (off.y / EARTH_M).to_degrees();
-        found.longitude_deg += (off.x / parallel_m).to_degrees();
-        found.altitude_m += off.z;
-    }
-    found
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::play;
     use super::*;
-    use nalgebra::Matrix3;
+    use nalgebra::{Matrix3, Vector3};
     use onboard::StopSignal;
     use sensors::{Frame, GnssSensor, ImuSample, Recording, Sequence};
     use std::cell::RefCell;
     use std::path::PathBuf;
-
-    #[test]
-    fn latitude_and_longitude_are_found_again() {
-        let origin = Geodetic { latitude_deg: 48.0, longitude_deg: 11.0, altitude_m: 500.0 };
-        for position in [Vector3::new(3.0, -4.0, 1.0), Vector3::new(-40_000.0, 70_000.0, 300.0)] {
-            let again = EnuFrame::at(&origin).position(&geodetic(&origin, &position));
-            assert!((again - position).norm() < 1e-6, "{again}");
-        }
-    }
 
     /// Keeps wheels and GNSS.
     #[derive(Default)]
