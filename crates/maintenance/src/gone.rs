@@ -173,9 +173,10 @@ pub(crate) fn remove_gone_of_added_kinds(contents: &mut MapContents, gone_m: &[[
         return;
     }
     let reach_m = 2.0 * SAME_OBJECT_M;
-    let gone = PositionGrid::new(gone_m.iter().copied().map(Vector3::from), reach_m);
+    let gone = PositionGrid::of_positions(gone_m.iter().copied().map(Vector3::from), reach_m);
     let positions = contents.landmarks_in_global().map(|(_, position)| position);
-    let left = PositionGrid::new(positions.filter(|position| gone.nearest(position) < reach_m), reach_m);
+    let left =
+        PositionGrid::of_positions(positions.filter(|position| gone.nearest(position) < reach_m), reach_m);
     edit::retain_added_landmarks(contents, |position| {
         let from_gone = gone.nearest(position);
         from_gone > SAME_OBJECT_M || left.nearest(position) <= from_gone

@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use map::Keyframe;
 use nalgebra::Vector3;
 
+use crate::position_grid::PositionGrid;
 use crate::settings::Settings;
 
 /// A place, by positions of keyframes in the map.
@@ -26,7 +27,7 @@ pub(crate) struct Place {
 /// * `keyframes`: in the order of their ids, by which they entered the map.
 pub(crate) fn places(keyframes: &[Keyframe], settings: &Settings) -> Vec<Place> {
     let views: Vec<View> = keyframes.iter().map(View::of).collect();
-    let mut middles = Middles { settings, views: &views, cubes: BTreeMap::new() };
+    let mut middles = Middles { settings, views: &views, grid: PositionGrid::new(settings.place_m) };
     for (at, view) in views.iter().enumerate() {
         if middles.around(view).next().is_none() {
             middles.insert(at);
@@ -57,26 +58,18 @@ impl View {
 struct Middles<'a> {
     settings: &'a Settings,
     views: &'a [View],
-    cubes: BTreeMap<[i64; 3], Vec<usize>>,
+    grid: PositionGrid<usize>,
 }
 
 impl Middles<'_> {
     fn insert(&mut self, view: usize) {
-        let cube = self.cube_of(&self.views[view]);
-        self.cubes.entry(cube).or_default().push(view);
-    }
-
-    fn cube_of(&self, view: &View) -> [i64; 3] {
-        view.position.map(|coordinate| (coordinate / self.settings.place_m).floor() as i64).into()
+        self.grid.insert(&self.views[view].position, view);
     }
 
     /// Those within the radius of a place, with their distance in radii: the larger one of distance and angle.
     fn around(&self, view: &View) -> impl Iterator<Item = (usize, f64)> {
-        let [x, y, z] = self.cube_of(view);
-        let near = |at: i64| at.saturating_sub(1)..=at.saturating_add(1);
-        let cubes = near(x).flat_map(move |x| near(y).flat_map(move |y| near(z).map(move |z| [x, y, z])));
         let (position, axis) = (view.position, view.axis);
-        cubes.filter_map(|cube| self.cubes.get(&cube)).flatten().filter_map(move |&other| {
+        self.grid.around(&position).filter_map(move |&other| {
             let of = &self.views[other];
             let distance = (of.position - position).norm() / self.settings.place_m;
             let radii = distance.max(of.axis.angle(&axis) / self.settings.place_rad);

@@ -93,7 +93,7 @@ fn the_nearest_of_a_grid_is_the_nearest_of_all_within_the_side_of_a_cube() {
         (0..count).map(|_| Vector3::from_fn(|_, _| rng.random_range(-2.0..2.0))).collect()
     };
     let (all, side_m) = (positions(80), 0.6);
-    let grid = PositionGrid::new(all.iter().copied(), side_m);
+    let grid = PositionGrid::of_positions(all.iter().copied(), side_m);
     let mut near = 0;
     for position in positions(1000) {
         let nearest = all.iter().map(|of| (of - position).norm()).fold(f64::INFINITY, f64::min);
