@@ -235,8 +235,10 @@ impl Inspector<'_> {
 
     /// The pose that a search expects when it comes to a keyframe: that of the first candidate that it verified before.
     fn expected_at(&self, keyframe: usize) -> Result<Option<Pose>, QueryError> {
+        let mut matcher = Matcher::new(self.image.descriptors);
         for at in self.best_voted(|_| true).into_iter().take_while(|&at| at != keyframe) {
-            if let Comparison::Verified(found) = self.keyframe(at, None)?.1 {
+            let comparison = compare(self.map, at, &self.image, &mut matcher, None, self.options)?;
+            if let Comparison::Verified(found) = comparison {
                 return Ok(Some(found.global_from_camera.pose));
             }
         }
