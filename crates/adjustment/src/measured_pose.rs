@@ -1,5 +1,6 @@
 //! Measured poses and positions as terms of the adjustment, with a robust loss against wrong ones.
 
+use geometry::median;
 use geometry::pose::Pose;
 use geometry::rotation::{left_jacobian_inverse, log, skew};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
@@ -75,9 +76,8 @@ impl MeasuredPoses {
     pub fn new(factors: &[MeasuredPose], poses: &[Pose]) -> MeasuredPoses {
         let relative = |factor: &MeasuredPose| (factor.distance(poses) / factor.freedom()).sqrt();
         let mut distances: Vec<f64> = factors.iter().map(relative).collect();
-        distances.sort_by(f64::total_cmp);
-        let median = distances.get(distances.len() / 2).copied().unwrap_or(0.0);
-        MeasuredPoses { factors: factors.to_vec(), spread: median.max(1.0) }
+        let spread = median(&mut distances).unwrap_or(0.0).max(1.0);
+        MeasuredPoses { factors: factors.to_vec(), spread }
     }
 
     /// The same share of correct residuals is attenuated whatever their dimension.

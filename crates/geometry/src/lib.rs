@@ -9,6 +9,7 @@
 //! | [`triangulation`] | landmarks from several views, with covariance |
 //! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, RANSAC, refinement |
 //! | [`robust`] | Huber's loss |
+//! | `median` | [`median()`] |
 //! | `geodetic` | [`Geodetic`], [`EnuFrame`]: positions on the earth, east, north and up of one of them |
 //! | [`numeric`] | numeric Jacobians for tests |
 //!
@@ -25,6 +26,7 @@ mod camera_groups;
 pub mod coordinate;
 pub mod covariance_check;
 mod geodetic;
+mod median;
 pub mod numeric;
 pub mod pnp;
 pub mod pose;
@@ -39,6 +41,7 @@ pub use camera::{
 pub use camera_groups::{CameraGroup, camera_groups};
 pub use coordinate::{MAX_COORDINATE_M, is_coordinate};
 pub use geodetic::{EnuFrame, Geodetic};
+pub use median::median;
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;
 pub use rotation::Rotation;

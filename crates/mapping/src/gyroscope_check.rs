@@ -1,6 +1,7 @@
 //! Reference poses against the gyroscope: poses of another sensor, in another order of columns or of another time turn otherwise
 //! than the IMU did.
 
+use geometry::median;
 use nalgebra::UnitQuaternion;
 use sensors::{ImuSample, ReferencePose};
 
@@ -58,15 +59,12 @@ pub(super) fn check_turns(
     if turns.len() < LEAST_TURNS || contradicted as f64 <= MAX_CONTRADICTED * turns.len() as f64 {
         return Ok(());
     }
-    let median = |values: &mut Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2].to_degrees()
-    };
+    let median_deg = |values: &mut [f64]| median(values).unwrap_or_default().to_degrees();
     Err(BuildError::ReferencesTurnOtherwise {
         contradicted,
         used: turns.len(),
-        turn_deg: median(&mut turns),
-        difference_deg: median(&mut differences),
+        turn_deg: median_deg(&mut turns),
+        difference_deg: median_deg(&mut differences),
     })
 }
 

@@ -296,12 +296,7 @@ pub(super) fn median_sigma_px(landmarks: impl Iterator<Item = Vec<f64>>) -> Opti
         errors.iter().map(|error| error * error).sum::<f64>() / median
     };
     let mut variances: Vec<f64> = landmarks.map(variance).filter(|value| value.is_finite()).collect();
-    if variances.is_empty() {
-        return None;
-    }
-    let middle = variances.len() / 2;
-    let (_, median, _) = variances.select_nth_unstable_by(middle, f64::total_cmp);
-    Some(median.sqrt().clamp(SIGMA_PX_LIMITS[0], SIGMA_PX_LIMITS[1]))
+    Some(geometry::median(&mut variances)?.sqrt().clamp(SIGMA_PX_LIMITS[0], SIGMA_PX_LIMITS[1]))
 }
 
 /// Drops observations beyond `gate` (px), and changes the anchor where it is one of them.

@@ -255,12 +255,8 @@ impl Problem<'_> {
         let residuals = self.residuals(state);
         let mut lengths: Vec<f64> =
             residuals.iter().map(|residual| residual.length).filter(|length| *length <= state.gate).collect();
-        if lengths.is_empty() {
-            return None;
-        }
         let mean_error_px = lengths.iter().sum::<f64>() / lengths.len() as f64;
-        let middle = lengths.len() / 2;
-        let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = geometry::median(&mut lengths)?;
         let scale = (median / MEDIAN_OF_RAYLEIGH).max(MIN_SCALE * self.stated_sigma);
         let sigma = scale.max(self.stated_sigma);
 

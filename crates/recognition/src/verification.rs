@@ -204,11 +204,7 @@ fn is_well_constrained<'a>(
     let distance = |point: &Vector3<f64>| (point - keyframe_from_camera.pose.translation).norm();
     // The mean would follow a few landmarks that are far away.
     let mut distances: Vec<f64> = points.map(distance).collect();
-    if distances.is_empty() {
-        return false;
-    }
-    let middle = distances.len() / 2;
-    let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let Some(median) = geometry::median(&mut distances) else { return false };
     // A NaN fails both comparisons.
     sigmas.fixed_rows::<3>(0).norm() <= options.max_sigma_theta
         && sigmas.fixed_rows::<3>(3).norm() <= options.max_relative_sigma_p * median

@@ -283,11 +283,7 @@ impl Sending<'_> {
 fn viewing_distance(cell: &CellView<'_>) -> f64 {
     let mut distances: Vec<f64> =
         cell.landmarks.iter().map(|landmark| landmark.position_in_anchor.norm()).collect();
-    if distances.is_empty() {
-        return 0.0;
-    }
-    let middle = distances.len() / 2;
-    *distances.select_nth_unstable_by(middle, f64::total_cmp).1
+    geometry::median(&mut distances).unwrap_or(0.0)
 }
 
 /// Smallest and largest coordinates of the keyframes in G, metres.

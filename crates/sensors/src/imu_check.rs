@@ -235,9 +235,7 @@ impl ImuCheck {
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    geometry::median(&mut values.collect::<Vec<f64>>()).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use crate::camera_vote::most_are_still;
 use crate::initialization::dynamic::WindowImage;
 use crate::initialization::static_init::REST_SECONDS;
+use geometry::median;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use types::TrackObservation;
@@ -41,8 +42,7 @@ pub(super) fn tracks_stand(
     let is_still = |camera: u8| {
         let mut displacements = earlier.iter().map(|image| displacements(image, &now, camera));
         let mut lengths = displacements.find(|lengths| lengths.len() >= MOTION_CHECK_MIN_TRACKS)?;
-        lengths.sort_by(f64::total_cmp);
-        Some(lengths[lengths.len() / 2] <= MOTION_CHECK_MAX_DISPLACEMENT * sigma_px)
+        Some(median(&mut lengths)? <= MOTION_CHECK_MAX_DISPLACEMENT * sigma_px)
     };
     most_are_still(cameras.into_iter().map(is_still))
 }

@@ -14,7 +14,7 @@ use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_measurement::Linearization;
 use crate::map_update::verification::VerifiedAnswer;
 use crate::state::{POSE_DIM, rotation_adjoint};
-use geometry::{Pose, PoseWithCovariance, rotation};
+use geometry::{Pose, PoseWithCovariance, median, rotation};
 use nalgebra::{DMatrix, DVector, Matrix6};
 
 /// Factor on the standard deviation of a PnP pose: its pixels are used by the rows of the landmarks, too, and with this
@@ -25,8 +25,7 @@ const SHARED_PIXELS_FACTOR: f64 = 3.0;
 pub(crate) fn median_depth(answer: &MapAnswer, verified: &VerifiedAnswer) -> f64 {
     let mut depths: Vec<f64> =
         verified.inliers.iter().map(|&k| answer.landmarks[k].position_in_anchor.norm()).collect();
-    depths.sort_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied().unwrap_or(0.0)
+    median(&mut depths).unwrap_or(0.0)
 }
 
 /// Covariance of the PnP pose of a camera in a keyframe, in the keyframe's frame.

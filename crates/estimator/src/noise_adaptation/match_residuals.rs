@@ -4,6 +4,7 @@
 //! the errors of state and map; what remains is noise. The fit is robust (iteratively reweighted, Huber), its scale is the
 //! median absolute deviation: the matches have passed no gate yet.
 
+use geometry::median;
 use nalgebra::{DMatrix, DVector};
 
 /// Iterations of the reweighted fit.
@@ -37,8 +38,7 @@ pub fn robust_sigma(jacobian: &DMatrix<f64>, residual: &DVector<f64>, pose_colum
     for _ in 0..ITERATIONS {
         let left = unexplained(jacobian, residual, &weights)?;
         let mut sizes: Vec<f64> = left.iter().map(|value| value.abs()).collect();
-        let (_, median, _) = sizes.select_nth_unstable_by(rows / 2, f64::total_cmp);
-        sigma = (SIGMA_OVER_MEDIAN * *median * (rows as f64 / free as f64).sqrt()).max(MIN_SIGMA);
+        sigma = (SIGMA_OVER_MEDIAN * median(&mut sizes)? * (rows as f64 / free as f64).sqrt()).max(MIN_SIGMA);
         weights = left.map(|value| (HUBER_SIGMAS * sigma / value.abs()).min(1.0));
     }
     Some(sigma)

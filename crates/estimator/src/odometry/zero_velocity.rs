@@ -151,11 +151,7 @@ fn is_negligible(mut values: Values) -> bool {
 
 /// The median of some values, whose order changes; infinite without any.
 fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return f64::INFINITY;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    geometry::median(values).unwrap_or(f64::INFINITY)
 }
 
 /// Where a pixel would be if the camera had rotated only, px.

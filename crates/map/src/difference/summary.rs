@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use geometry::median;
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -171,9 +172,8 @@ impl Counting {
     }
 
     fn finish(mut self) -> ElementCounts {
-        let middle = self.motions.len() / 2;
-        let motion = (!self.motions.is_empty()).then(|| MotionSize {
-            median_m: *self.motions.select_nth_unstable_by(middle, f64::total_cmp).1,
+        let motion = median(&mut self.motions).map(|median_m| MotionSize {
+            median_m,
             largest_m: self.motions.iter().copied().fold(0.0, f64::max),
         });
         ElementCounts { added: self.added, removed: self.removed, moved: self.motions.len(), motion }

@@ -221,7 +221,5 @@ fn check_level(gravity: Option<Vector3<f64>>) -> Result<(), GridError> {
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or_default()
+    geometry::median(&mut values.collect::<Vec<f64>>()).unwrap_or_default()
 }

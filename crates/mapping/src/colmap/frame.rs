@@ -4,7 +4,7 @@ use crate::error::BuildError;
 use crate::imu_alignment::{ImuAlignment, upright_from};
 use crate::joint_covariance::SCALE_SIGMA;
 use estimator::EstimatorConfig;
-use geometry::Pose;
+use geometry::{Pose, median};
 use map_io::colmap::{ColmapImage, ColmapModel};
 use nalgebra::{UnitQuaternion, Vector3};
 use sensors::Sequence;
@@ -176,12 +176,4 @@ fn stereo_scale(images: &BTreeMap<(i64, usize), &ColmapImage>, sequence: &Sequen
     let mut deviations: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
     let scatter = MAD_TO_SIGMA * median(&mut deviations)? / (ratios.len() as f64).sqrt();
     Some((scale, SIGMA_SCALE.hypot(scatter)))
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -4,6 +4,7 @@
 //!
 //! Source: Rousseeuw, "Least median of squares regression", J. Am. Stat. Assoc. 1984.
 
+use geometry::median;
 use geometry::pose::Pose;
 use geometry::rotation;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
@@ -112,9 +113,7 @@ fn distance(known: &LocatedPrior, global_from_local: &Pose) -> f64 {
 
 fn median_distance(known: &[LocatedPrior], global_from_local: &Pose) -> f64 {
     let mut distances: Vec<f64> = known.iter().map(|known| distance(known, global_from_local)).collect();
-    let middle = distances.len() / 2;
-    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
-    *median
+    median(&mut distances).unwrap_or(f64::INFINITY)
 }
 
 fn mean(vectors: impl ExactSizeIterator<Item = Vector3<f64>>) -> Vector3<f64> {

@@ -1,7 +1,7 @@
 //! In which parts of an image matches confirm what the map expects there.
 
 use geometry::pnp::Correspondence;
-use geometry::{Camera, Pose};
+use geometry::{Camera, Pose, median};
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
 
@@ -155,6 +155,5 @@ fn mean_focal(camera: &Camera) -> f64 {
 fn median_depth(points: &[Vector3<f64>], global_from_camera: &Pose) -> f64 {
     let depth = |point: &Vector3<f64>| global_from_camera.inverse_transform(point).z;
     let mut depths: Vec<f64> = points.iter().map(depth).collect();
-    depths.sort_unstable_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied().unwrap_or(f64::INFINITY)
+    median(&mut depths).unwrap_or(f64::INFINITY)
 }

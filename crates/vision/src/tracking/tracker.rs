@@ -17,7 +17,7 @@ use crate::detection::detect_corners;
 use crate::detection::spacing::Spacing;
 use crate::image::GrayImage;
 use crate::image::Pyramid;
-use geometry::{Camera, Pose, Rotation};
+use geometry::{Camera, Pose, Rotation, median};
 use nalgebra::Vector2;
 
 /// Two tracks closer than this fraction of the corner distance show the same point: the younger one ends.
@@ -357,11 +357,6 @@ fn is_unmasked(mask: Option<&GrayImage>, point: Vector2<f32>) -> bool {
 fn median_parallax(pairs: &[BearingPair], motion: &RelativePose) -> Option<f64> {
     let angle = |pair: &BearingPair| (motion.current_from_previous * pair.previous - pair.current).norm();
     median(&mut pairs.iter().map(angle).collect::<Vec<_>>())
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 fn size_of(image: &GrayImage) -> [usize; 2] {

@@ -16,7 +16,7 @@ use super::window::{Window, WindowObservation, WindowTrack};
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::propagation::{ImuState, MotionEstimate, propagate};
-use geometry::Pose;
+use geometry::{Pose, median};
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, SymmetricEigen, Vector3, Vector6};
 use types::ImuSample;
 
@@ -192,20 +192,14 @@ fn reweight(
         residuals.push((squared / track.len() as f64).sqrt());
         depths.push(depth);
     }
-    let Some(middle) = median(&residuals) else { return };
-    let Some(depth) = median(&depths.iter().map(|depths| depths[0]).collect::<Vec<_>>()) else { return };
+    let Some(middle) = median(&mut residuals.clone()) else { return };
+    let Some(depth) = median(&mut depths.iter().map(|depths| depths[0]).collect::<Vec<_>>()) else { return };
     for ((weights, residual), depths) in weights.iter_mut().zip(&residuals).zip(&depths) {
         weights.outlying = *residual > OUTLIER * middle;
         for (weight, own) in weights.bearings.iter_mut().zip(depths) {
             *weight = (depth / own.max(NEAREST * depth)).powi(2);
         }
     }
-}
-
-fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied()
 }
 
 /// Minimizes `xᵀ A x - 2 bᵀ x` over `x = (v, g)` with `|g| = gravity`.
