@@ -12,6 +12,20 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// What --inbox does not go with: it has no effect without a server.
+const OF_A_SERVER: [&str; 10] = [
+    "map",
+    "rate",
+    "timeout",
+    "connect",
+    "listen",
+    "scout",
+    "secure",
+    "zenoh_config",
+    "namespace",
+    "session_mode",
+];
+
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(
@@ -29,7 +43,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME", required_unless_present = "inbox")]
     map: Option<String>,
     /// Put the sessions into this folder of a server that is not running, with the checks that it makes
-    #[arg(long, value_name = "DIR", conflicts_with = "map")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = OF_A_SERVER)]
     inbox: Option<PathBuf>,
     /// With --inbox, take only sessions that are signed: folder with the public key NAME.pub of each robot
     #[arg(long, value_name = "DIR", requires = "inbox")]
@@ -175,4 +189,37 @@ fn put(args: &Args, folder: &Path, robot: &str, bytes: &[u8]) -> anyhow::Result<
         received = next;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Args as _, Parser as _};
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_folder_refuses_each_switch_of_a_server_by_name() {
+        let line = ["hand-in", "a.session", "--inbox", "/srv/inbox"];
+        assert!(Line::try_parse_from(line).is_ok());
+        let of_server = ServerArguments::augment_args(clap::Command::new("server"));
+        let mut switches: Vec<String> = vec!["--map".to_owned(), "--rate".to_owned()];
+        switches.extend(of_server.get_arguments().filter_map(|arg| Some(format!("--{}", arg.get_long()?))));
+        assert!(switches.len() > 5, "{switches:?}");
+        for switch in switches {
+            let value = match switch.as_str() {
+                "--scout" => None,
+                "--session-mode" => Some("client"),
+                _ => Some("7"),
+            };
+            let given = line.into_iter().chain([switch.as_str()]).chain(value);
+            let refusal = Line::try_parse_from(given).map(|_| ()).unwrap_err().to_string();
+            assert!(refusal.contains("--inbox <DIR>") && refusal.contains(&switch), "{switch}: {refusal}");
+            assert!(refusal.contains("cannot be used with"), "{switch}: {refusal}");
+        }
+    }
 }
