@@ -42,6 +42,7 @@ fn a_right_calibration_agrees() {
         let check = check(&mut recording(20.0), cameras);
         assert!(check.agrees && differing(&check).is_empty());
         assert!(check.parameters.iter().all(|parameter| parameter.agreement == Agreement::Agrees));
+        assert!(check.coarse_time_offset.offset_s().unwrap().abs() < 0.01);
     }
 }
 
@@ -55,6 +56,26 @@ fn late_images_are_named_with_how_late_they_are() {
     assert_eq!(differing(&check), ["time offset"]);
     assert!((check.parameters[0].difference[0] + 30.0).abs() < 1.0, "ms");
     assert!(!check.agrees);
+}
+
+#[test]
+fn clocks_that_differ_by_tenths_of_a_second_are_named() {
+    for (cameras, offset_s) in [(1, 0.25), (2, -0.6)] {
+        let mut sequence = recording(20.0);
+        for frame in &mut sequence.frames {
+            frame.stamp_ns -= (offset_s * 1e9) as i64;
+        }
+        let stamps =
+            |sequence: &Sequence| sequence.frames.iter().map(|frame| frame.stamp_ns).collect::<Vec<_>>();
+        let before = stamps(&sequence);
+        let check = check(&mut sequence, cameras);
+        let coarse_s = check.coarse_time_offset.offset_s().unwrap();
+        assert!((coarse_s - offset_s).abs() < 0.05, "an image period");
+        assert_eq!(differing(&check), ["time offset"]);
+        assert!((check.parameters[0].difference[0] - 1e3 * offset_s).abs() < 2.0, "ms");
+        assert!(!check.agrees && check.checked && check.mistake.is_none());
+        assert_eq!(stamps(&sequence), before);
+    }
 }
 
 #[test]
