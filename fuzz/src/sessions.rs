@@ -26,6 +26,14 @@ fn read(bytes: &[u8]) {
     assert!(
         tracks.all(|track| usize::from(track.camera) < cameras && track.pixel.iter().all(|u| u.is_finite()))
     );
+    for frame in &session.frames {
+        assert!(frame.candidates.is_sorted_by(|one, next| one.camera < next.camera));
+        assert!(frame.candidates.iter().all(|candidate| candidate.camera < cameras));
+    }
+    assert!(
+        session.answers.iter().all(|answer| answer.camera < cameras),
+        "an answer about a camera that is not there"
+    );
     let _ = (session.candidates(), session.seconds());
 }
 

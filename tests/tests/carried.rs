@@ -46,7 +46,7 @@ fn covered(missing: Missing) -> Sequence {
     let is_covered = |stamp_ns: i64| COVERED_S.contains(&((stamp_ns - first_ns) as f64 * 1e-9));
     for frame in sequence.frames.iter_mut().filter(|frame| is_covered(frame.stamp_ns)) {
         frame.tracks.clear();
-        frame.features = None;
+        frame.features.clear();
     }
     sequence.frames.retain(|frame| missing == Missing::Tracks || !is_covered(frame.stamp_ns));
     sequence.imu_samples.retain(|reading| missing != Missing::ImagesAndImu || !is_covered(reading.stamp_ns));

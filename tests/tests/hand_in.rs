@@ -3,7 +3,7 @@
 use client::session::{SessionOptions, close_session, open_session};
 use client::{MapClient, SessionUpload};
 use hand_in::inbox::digest_of;
-use hand_in::{Chunk, Header, Inbox, InboxSettings, Session, SessionFrame, SessionWriter};
+use hand_in::{Candidate, Chunk, Header, Inbox, InboxSettings, Session, SessionFrame, SessionWriter};
 use map_server::InboxService;
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use sensors::{CameraSensor, ImuNoise, ImuSensor};
@@ -68,7 +68,7 @@ fn session(path: &Path, bytes: usize) -> Vec<u8> {
     let frames = (0..bytes / 3400).map(|at| SessionFrame {
         stamp_ns: at as i64 * 1_000_000_000,
         tracks: Vec::new(),
-        features: Some(features(at)),
+        candidates: vec![Candidate { camera: 0, features: features(at) }],
     });
     let mut writer = SessionWriter::create(path, &header).unwrap();
     writer.append(&Chunk { frames: frames.collect(), ..Chunk::default() }).unwrap();

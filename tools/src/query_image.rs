@@ -62,7 +62,7 @@ impl QueryImage {
         let data = frame.images.get(&0);
         let of = format!("camera 0 of {}", recording.display());
         let image = data.map(|data| read_image(data, &camera, &of)).transpose()?;
-        let features = match (&frame.features, &image, data) {
+        let features = match (frame.features.get(&0), &image, data) {
             (Some(features), _, _) => features.clone(),
             (None, Some(image), Some(data)) => extract(image, data, arguments)?,
             _ => bail!("{} has neither features nor images of camera 0", recording.display()),
@@ -120,7 +120,7 @@ impl RecordedQueries {
             if !queries.last().is_none_or(is_due) {
                 continue;
             }
-            let features = match (&frame.features, frame.images.get(&0)) {
+            let features = match (frame.features.get(&0), frame.images.get(&0)) {
                 (Some(features), _) => features.clone(),
                 (None, Some(data)) => {
                     let of = format!("camera 0 of {}", recording.display());
@@ -147,7 +147,7 @@ impl RecordedQueries {
 /// Which frames of a recording can be localized by camera 0.
 fn usable(sequence: &Sequence) -> impl Fn(&Frame) -> bool + use<> {
     let with_features = sequence.has_features();
-    move |frame| if with_features { frame.features.is_some() } else { frame.images.contains_key(&0) }
+    move |frame| if with_features { frame.features.contains_key(&0) } else { frame.images.contains_key(&0) }
 }
 
 /// Reads an image that must have the size of its camera's.

@@ -2,13 +2,15 @@
 
 use std::path::Path;
 
+use crate::MAGIC;
 use crate::block::{self, Block, kind};
 use crate::error::HandInError;
-use crate::{MAGIC, SCHEMA};
+use crate::schema::Schema;
 
 /// The blocks behind the header, up to the first that is not whole or to the signature.
 pub(crate) struct Blocks<'a> {
     bytes: &'a [u8],
+    schema: Schema,
     /// Where the next block begins: so many bytes are whole.
     at: usize,
     is_ended: bool,
@@ -29,13 +31,18 @@ impl<'a> Blocks<'a> {
         let (schema, rest) =
             after_magic.split_first_chunk::<2>().ok_or_else(|| HandInError::NoHeader { path: own() })?;
         let found = u16::from_le_bytes(*schema);
-        if found != SCHEMA {
-            return Err(HandInError::Schema { path: own(), found, expected: SCHEMA });
-        }
+        let expected = Schema::NEWEST.number();
+        let schema =
+            Schema::of_number(found).ok_or_else(|| HandInError::Schema { path: own(), found, expected })?;
         let header = block::first(rest).filter(|block| block.kind == kind::HEADER);
         let header = header.ok_or_else(|| HandInError::NoHeader { path: own() })?;
         let at = bytes.len() - rest.len() + header.size;
-        Ok((header, Self { bytes, at, is_ended: false }))
+        Ok((header, Self { bytes, schema, at, is_ended: false }))
+    }
+
+    /// The version of the file's format.
+    pub(crate) fn schema(&self) -> Schema {
+        self.schema
     }
 
     /// How many bytes of the file are whole: those up to the end of the block that came last.

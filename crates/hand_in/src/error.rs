@@ -26,7 +26,7 @@ pub enum HandInError {
     },
     /// It has another schema.
     #[error(
-        "{} has schema {found}, this program reads {expected}: update the older of the robot and this program",
+        "{} has schema {found}, this program reads those up to {expected}: update the older of the robot and this program",
         path.display()
     )]
     Schema {
@@ -34,7 +34,7 @@ pub enum HandInError {
         path: PathBuf,
         /// Of the file.
         found: u16,
-        /// Of this program.
+        /// The newest one that this program reads.
         expected: u16,
     },
     /// The header is not whole: the file was cut off, or is damaged.

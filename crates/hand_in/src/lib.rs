@@ -1,7 +1,7 @@
 //! Session files: what a robot records of a drive for the map, and hands in.
 //!
-//! A session has what a map can be extended by: readings of the IMU, tracked points, the features of keyframe candidates, and which
-//! landmarks of the map were matched with them. It has no poses: what came out of a map does not go into it again.
+//! A session has what a map can be extended by: readings of the IMU, tracked points, the features of keyframe candidates of all cameras
+//! that the map is asked about, and which landmarks of the map were matched with them. It has no poses: what came out of a map does not go into it again.
 //!
 //! | module | what |
 //! |---|---|
@@ -10,6 +10,7 @@
 //! | `chunk` | [`Chunk`]: some seconds of a session |
 //! | `block`, `blocks` | blocks with checksums; those of a file |
 //! | `bytes`, `memory` | integers of variable length; how much memory a chunk may take |
+//! | `schema` | versions of the format |
 //! | `signature` | [`sign`], [`verify`] |
 //! | [`inbox`] | [`Inbox`]: the folder that sessions are handed in to |
 //! | `error` | [`HandInError`], [`ChunkError`] |
@@ -26,10 +27,11 @@ mod header;
 pub mod inbox;
 mod memory;
 mod reading;
+mod schema;
 mod signature;
 mod writing;
 
-pub use chunk::{Answer, AnsweredMatch, Chunk, RecordedSoFar, SessionFrame};
+pub use chunk::{Answer, AnsweredMatch, Candidate, Chunk, RecordedSoFar, SessionFrame};
 pub use error::{ChunkError, HandInError};
 pub use header::Header;
 pub use inbox::{Inbox, InboxError, InboxSettings, Received};
@@ -40,5 +42,3 @@ pub use writing::SessionWriter;
 
 /// How a session file begins.
 const MAGIC: &[u8; 8] = b"DRFTSESS";
-/// Version of the format.
-const SCHEMA: u16 = 1;

@@ -2,8 +2,8 @@
 
 use crate::error::ChunkError;
 
-/// Most bytes of memory that the content of a chunk takes for each of its bytes. Readings take 8 at most, tracked points 16; images
-/// without a point 19 where they are more than 2 ms apart.
+/// Most bytes of memory that the content of a chunk takes for each of its bytes. Readings take 8 at most, tracked points 16, images
+/// without a point 19.
 pub const MAX_MEMORY_PER_BYTE: u64 = 20;
 /// Most bytes of memory that the content of a session takes: four hours of a robot with an IMU of 1 kHz take 1.4 GB.
 pub const MAX_SESSION_MEMORY_BYTES: u64 = 2 << 30;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::MAGIC;
 use crate::block::{Block, kind};
 use crate::blocks::Blocks;
-use crate::chunk::{self, Answer, Chunk, RecordedSoFar, SessionFrame};
+use crate::chunk::{self, Answer, Chunk, ChunkFormat, RecordedSoFar, SessionFrame};
 use crate::error::{ChunkError, HandInError};
 use crate::header::{self, Header};
 use crate::memory::MAX_SESSION_MEMORY_BYTES;
@@ -74,9 +74,9 @@ impl Session {
         Decoder::decode(path, bytes, false)
     }
 
-    /// Images with features.
+    /// Keyframe candidates, of all cameras.
     pub fn candidates(&self) -> usize {
-        self.frames.iter().filter(|frame| frame.features.is_some()).count()
+        self.frames.iter().map(|frame| frame.candidates.len()).sum()
     }
 
     /// From the first image to the last, seconds; 0 without any.
@@ -121,10 +121,12 @@ impl Decoder {
             whole_bytes: 0,
             signature: None,
         };
+        let cameras = session.header.cameras.len();
+        let format = ChunkFormat { schema: blocks.schema(), steps, cameras };
         let mut decoder = Self { session, keeps, memory: 0, last_reading_ns: None, last_frame_ns: None };
         for (begin, block) in &mut blocks {
             let offset = begin as u64;
-            decoder.take(&block, offset, steps).map_err(|source| HandInError::Chunk {
+            decoder.take(&block, offset, format).map_err(|source| HandInError::Chunk {
                 path: path.to_owned(),
                 offset,
                 source,
@@ -134,10 +136,10 @@ impl Decoder {
         Ok(decoder.session)
     }
 
-    fn take(&mut self, block: &Block<'_>, offset: u64, steps: [f64; 2]) -> Result<(), ChunkError> {
+    fn take(&mut self, block: &Block<'_>, offset: u64, format: ChunkFormat) -> Result<(), ChunkError> {
         match block.kind {
             kind::CHUNK => {
-                let (chunk, memory) = chunk::decode(block.payload, steps, self.session.header.cameras.len())?;
+                let (chunk, memory) = chunk::decode(block.payload, format)?;
                 self.memory = self.memory.saturating_add(memory);
                 if self.memory > MAX_SESSION_MEMORY_BYTES {
                     return Err(ChunkError::SessionMemory);

@@ -4,11 +4,12 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
+use crate::MAGIC;
 use crate::block::{self, kind};
-use crate::chunk::{self, Chunk};
+use crate::chunk::{self, Chunk, ChunkFormat};
 use crate::error::HandInError;
 use crate::header::{self, Header};
-use crate::{MAGIC, SCHEMA};
+use crate::schema::Schema;
 
 /// A session file that is being written. Each block is on the disk before the next is begun: whatever stops the program, what was
 /// written as a whole is read.
@@ -16,7 +17,7 @@ use crate::{MAGIC, SCHEMA};
 pub struct SessionWriter {
     path: PathBuf,
     file: File,
-    steps: [f64; 2],
+    format: ChunkFormat,
     bytes: u64,
 }
 
@@ -30,20 +31,22 @@ impl SessionWriter {
             header::encode(header).map_err(|source| HandInError::Header { path: path.to_owned(), source })?;
         let file = File::options().write(true).create_new(true).open(path);
         let file = file.map_err(|source| HandInError::Io { path: path.to_owned(), source })?;
-        let mut writer = Self { path: path.to_owned(), file, steps: header.steps(), bytes: 0 };
+        let schema = Schema::of_cameras(&header.cameras);
+        let format = ChunkFormat { schema, steps: header.steps(), cameras: header.cameras.len() };
+        let mut writer = Self { path: path.to_owned(), file, format, bytes: 0 };
         let mut begin = MAGIC.to_vec();
-        begin.extend(SCHEMA.to_le_bytes());
+        begin.extend(schema.number().to_le_bytes());
         writer.write(&begin)?;
         writer.block(kind::HEADER, &encoded)?;
         Ok(writer)
     }
 
-    /// Appends some seconds.
+    /// Appends some seconds. Of a robot with one stereo pair or single camera, candidates and answers of camera 0 are written.
     ///
     /// # Errors
     /// As [`SessionWriter::create`]. What was written before stays readable.
     pub fn append(&mut self, chunk: &Chunk) -> Result<(), HandInError> {
-        let payload = chunk::encode(chunk, self.steps);
+        let payload = chunk::encode(chunk, self.format);
         self.block(kind::CHUNK, &payload)
     }
 

@@ -2,8 +2,8 @@
 
 use calibration::{CameraSensor, ImuSensor};
 use geometry::{Camera, Distortion, Pose};
-use hand_in::{Answer, AnsweredMatch, Chunk, Header, RecordedSoFar, SessionFrame, SessionWriter};
-use nalgebra::{Vector2, Vector3};
+use hand_in::{Answer, AnsweredMatch, Candidate, Chunk, Header, RecordedSoFar, SessionFrame, SessionWriter};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use protocol::MapIdentity;
 use std::path::Path;
 use types::{DescriptorKind, Descriptors, FeatureSet, ImuNoise, ImuSample, TrackObservation};
@@ -34,6 +34,28 @@ pub fn steps() -> [f64; 2] {
     [noise.gyroscope, noise.accelerometer].map(|density| density * 200_f64.sqrt() / 4.0)
 }
 
+/// A robot with a camera that looks ahead, a stereo pair to the left, and a camera that looks back.
+pub fn surround_header() -> Header {
+    let sensor = |turned_rad: f64| {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turned_rad);
+        CameraSensor { imu_from_camera: Pose::new(rotation, Vector3::zeros()), ..header().cameras[0].clone() }
+    };
+    Header { cameras: [0.0, 1.6, 1.6, 3.1].map(sensor).to_vec(), ..header() }
+}
+
+/// The features of an image, which are different for each number.
+pub fn features(number: i64) -> FeatureSet {
+    FeatureSet {
+        pixels: (0..40).map(|point| [point as f32 * 9.37, 100.0 - point as f32]).collect(),
+        descriptors: Descriptors {
+            kind: DescriptorKind::Int8,
+            width: 64,
+            bytes: (0..40 * 64).map(|byte| (byte * 31 + number) as u8).collect(),
+        },
+        extractor: "edgepoint2-1".to_owned(),
+    }
+}
+
 /// A chunk of a second, which is different for each number.
 pub fn chunk(number: i64) -> Chunk {
     let begin_ns = 1_700_000_000_000_000_000 + number * 1_000_000_000;
@@ -52,16 +74,12 @@ pub fn chunk(number: i64) -> Chunk {
                 pixel: Vector2::new(point as f64 * 11.3 + at as f64, 20.0 * f64::from(camera) + point as f64),
             })
         });
-        let features = (at == 2).then(|| FeatureSet {
-            pixels: (0..40).map(|point| [point as f32 * 9.37, 100.0 - point as f32]).collect(),
-            descriptors: Descriptors {
-                kind: DescriptorKind::Int8,
-                width: 64,
-                bytes: (0..40 * 64).map(|byte| (byte * 31 + number) as u8).collect(),
-            },
-            extractor: "edgepoint2-1".to_owned(),
-        });
-        SessionFrame { stamp_ns: begin_ns + at * 200_000_000, tracks: tracks.collect(), features }
+        let candidate = (at == 2).then(|| Candidate { camera: 0, features: features(number) });
+        SessionFrame {
+            stamp_ns: begin_ns + at * 200_000_000,
+            tracks: tracks.collect(),
+            candidates: candidate.into_iter().collect(),
+        }
     });
     Chunk {
         recorded: RecordedSoFar {
@@ -76,6 +94,7 @@ pub fn chunk(number: i64) -> Chunk {
         frames: frames.collect(),
         answers: vec![Answer {
             stamp_ns: begin_ns + 400_000_000,
+            camera: 0,
             map_identity: MapIdentity::from_bytes([7; 16]),
             map_version: 3,
             inliers: 17,

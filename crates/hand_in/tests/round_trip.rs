@@ -1,10 +1,12 @@
 //! What is written is read, within the rounding that is stated.
 
-use crate::example_session::{chunk, header, steps, write};
-use hand_in::{Chunk, HandInError, Session, SessionWriter};
+use crate::example_session::{chunk, features, header, steps, surround_header, write};
+use hand_in::{Answer, Candidate, Chunk, HandInError, Header, Session, SessionFrame, SessionWriter};
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
-use types::{ImuSample, TrackObservation};
+use std::collections::BTreeMap;
+use std::path::Path;
+use types::{DescriptorKind, Descriptors, FeatureSet, ImuSample, TrackObservation};
 
 #[test]
 fn a_session_is_read_as_it_was_written() {
@@ -27,15 +29,87 @@ fn a_session_is_read_as_it_was_written() {
             assert_eq!((read.camera, read.feature_id), (written.camera, written.feature_id));
             assert!((read.pixel - written.pixel).amax() <= 0.5 / 16.0, "{read:?} of {written:?}");
         }
+        assert_same_candidates(&read.candidates, &written.candidates);
+    }
+}
+
+/// Candidates that differ by the rounding of their pixels only.
+fn assert_same_candidates(read: &[Candidate], written: &[Candidate]) {
+    assert_eq!(read.len(), written.len());
+    for (read, written) in read.iter().zip(written) {
+        assert_eq!(read.camera, written.camera);
         let [read, written] = [&read.features, &written.features];
-        assert_eq!(read.is_some(), written.is_some());
-        for (read, written) in read.iter().zip(written) {
-            assert_eq!((&read.descriptors, &read.extractor), (&written.descriptors, &written.extractor));
-            for (read, written) in read.pixels.as_flattened().iter().zip(written.pixels.as_flattened()) {
-                assert!((read - written).abs() <= 0.5 / 8.0 + 1e-4);
-            }
+        assert_eq!((&read.descriptors, &read.extractor), (&written.descriptors, &written.extractor));
+        assert_eq!(read.pixels.len(), written.pixels.len());
+        for (read, written) in read.pixels.as_flattened().iter().zip(written.pixels.as_flattened()) {
+            assert!((read - written).abs() <= 0.5 / 8.0 + 1e-4);
         }
     }
+}
+
+/// The version of the format of a file.
+fn schema(path: &Path) -> u8 {
+    std::fs::read(path).unwrap()[8]
+}
+
+/// Programs that know the first version only read what robots with one stereo pair or single camera record.
+#[test]
+fn only_files_of_robots_that_ask_about_several_cameras_have_the_second_version() {
+    let folder = tempfile::tempdir().unwrap();
+    let schema_of = |name: &str, header: Header| {
+        let path = folder.path().join(name);
+        SessionWriter::create(&path, &header).unwrap();
+        schema(&path)
+    };
+    let cameras = |kept: &[usize]| {
+        let all = surround_header();
+        Header { cameras: kept.iter().map(|&at| all.cameras[at].clone()).collect(), ..all }
+    };
+    assert_eq!(schema_of("single", cameras(&[0])), 1);
+    assert_eq!(schema_of("pair", cameras(&[1, 2])), 1);
+    assert_eq!(schema_of("two", cameras(&[0, 3])), 2);
+    assert_eq!(schema_of("surround", surround_header()), 2);
+}
+
+/// A file as it was written before candidates stated their camera.
+#[test]
+fn a_file_of_the_first_version_is_read_as_one_of_camera_0_also_from_several_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.session");
+    let ends = write(&path, 2);
+    let of_pair = std::fs::read(&path).unwrap();
+    // The same chunks behind the header of a robot with more cameras, by a program that knew the first version only.
+    let surround = folder.path().join("b.session");
+    SessionWriter::create(&surround, &surround_header()).unwrap();
+    let mut bytes = std::fs::read(&surround).unwrap();
+    bytes[8] = 1;
+    bytes.extend(&of_pair[ends[0] as usize..]);
+    let session = Session::of_bytes(&path, &bytes).unwrap();
+    assert_eq!(session.header.cameras.len(), 4);
+    let whole = Session::of_bytes(&path, &of_pair).unwrap();
+    assert_eq!(session.candidates(), 2);
+    assert_eq!((session.frames, session.answers), (whole.frames, whole.answers));
+}
+
+#[test]
+fn a_robot_with_one_pair_writes_what_is_of_camera_0() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.session");
+    let mut written = chunk(0);
+    written.frames[2].candidates.push(Candidate { camera: 1, features: features(1) });
+    written.answers.push(Answer { camera: 1, ..written.answers[0].clone() });
+    SessionWriter::create(&path, &header()).unwrap().append(&written).unwrap();
+    let session = Session::open(&path).unwrap();
+    assert_eq!((session.candidates(), session.answers.len()), (1, 1));
+    assert_eq!(session.answers, chunk(0).answers);
+}
+
+/// Features of some number.
+fn some_features(count: usize, number: u8) -> FeatureSet {
+    let pixels = (0..count).map(|at| [at as f32 * 3.3 + f32::from(number), 7.0 - at as f32]);
+    let bytes = (0..count * 8).map(|at| at as u8 ^ number).collect();
+    let descriptors = Descriptors { kind: DescriptorKind::Binary, width: 8, bytes };
+    FeatureSet { pixels: pixels.collect(), descriptors, extractor: "test-1".to_owned() }
 }
 
 #[test]
@@ -93,7 +167,11 @@ proptest! {
         tracks.dedup_by_key(|track| (track.feature_id, track.camera));
         let mut written = Chunk { readings, ..Chunk::default() };
         for at in 0..2 {
-            written.frames.push(hand_in::SessionFrame { stamp_ns: begin_ns + at, tracks: tracks.clone(), features: None });
+            written.frames.push(SessionFrame {
+                stamp_ns: begin_ns + at,
+                tracks: tracks.clone(),
+                candidates: Vec::new(),
+            });
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.session");
@@ -111,6 +189,41 @@ proptest! {
                 prop_assert_eq!((read.feature_id, read.camera), (written.feature_id, written.camera));
                 prop_assert!((read.pixel - written.pixel).amax() <= 0.5 / 16.0 + 1e-9);
             }
+        }
+    }
+
+    #[test]
+    fn candidates_and_answers_of_any_cameras_come_back(
+        begin_ns in -(1_i64 << 60)..(1 << 60),
+        frames in prop::collection::vec(
+            (1..2_000_000_000_i64, prop::collection::btree_map(0..4_usize, (0..20_usize, any::<u8>(), any::<bool>()), 0..4)),
+            0..20,
+        ),
+    ) {
+        let mut written = Chunk::default();
+        let mut stamp_ns = begin_ns;
+        for (step_ns, images) in frames {
+            stamp_ns += step_ns;
+            let images: BTreeMap<usize, (usize, u8, bool)> = images;
+            let candidate = |(&camera, &(count, number, _)): (&usize, &(usize, u8, bool))| {
+                Candidate { camera, features: some_features(count, number) }
+            };
+            let answer = |(&camera, &(_, number, _)): (&usize, &(usize, u8, bool))| {
+                Answer { stamp_ns, camera, map_version: u64::from(number), ..chunk(0).answers[0].clone() }
+            };
+            let candidates = images.iter().map(candidate).collect();
+            written.frames.push(SessionFrame { stamp_ns, tracks: Vec::new(), candidates });
+            written.answers.extend(images.iter().filter(|(_, (_, _, is_answered))| *is_answered).map(answer));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.session");
+        SessionWriter::create(&path, &surround_header()).unwrap().append(&written).unwrap();
+        let session = Session::open(&path).unwrap();
+        prop_assert_eq!(session.answers, written.answers);
+        prop_assert_eq!(session.frames.len(), written.frames.len());
+        for (read, written) in session.frames.iter().zip(&written.frames) {
+            prop_assert_eq!(read.stamp_ns, written.stamp_ns);
+            assert_same_candidates(&read.candidates, &written.candidates);
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
-use map::{Landmark, MapContents, edit};
+use map::{Keyframe, Landmark, MapContents, edit};
 use mapping::{
     BuildOptions, ExtendError, ExtensionReport, LocatedErrors, MAX_SIGMA_PX, MapPoses, Progress, Stage,
     check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown, put_back,
@@ -84,7 +84,7 @@ pub(crate) fn take_session_by_parts(
         *map = contents;
         return Ok(report);
     }
-    let images = work.sequence.frames.iter().filter(|frame| frame.features.is_some()).count();
+    let images: usize = work.sequence.frames.iter().map(|frame| frame.features.len()).sum();
     let [least, most] = sizes.keyframes;
     let count = (PART_KEYFRAMES_AN_IMAGE * images).clamp(least, most);
     let keyframes = part_shown(map, work.sequence, count, work.progress)?;
@@ -150,11 +150,7 @@ impl Work<'_, '_> {
         let added = contents.info.sessions.last();
         let stamp_ns = added.map_or(0, |session| session.end_ns);
         let drive = added.map(|session| Drive::of(session, &contents.info.sessions)).unwrap_or_default();
-        let features: BTreeMap<i64, &FeatureSet> = sequence
-            .frames
-            .iter()
-            .filter_map(|frame| Some((frame.stamp_ns, frame.features.as_ref()?)))
-            .collect();
+        let features = features_of(&contents, &extension.cameras, sequence);
         let sightings = sightings(&contents, &ids, &features);
         let detection_rates = update_existence(&mut contents, &sightings, &ids, stamp_ns, &drive, settings);
         let removed = remove_gone(&mut contents, settings);
@@ -192,6 +188,25 @@ impl Work<'_, '_> {
         let lost = removed.landmarks.into_iter().chain(surplus.landmarks).collect();
         Ok(Taken { contents, errors, lost, report })
     }
+}
+
+/// All features of the images that became keyframes.
+///
+/// # Arguments
+/// * `contents`: with the keyframes of the session.
+/// * `cameras`: the camera of each of these.
+fn features_of<'a>(
+    contents: &MapContents,
+    cameras: &BTreeMap<KeyframeId, usize>,
+    sequence: &'a Sequence,
+) -> BTreeMap<KeyframeId, &'a FeatureSet> {
+    let features = |keyframe: &Keyframe| {
+        let camera = cameras.get(&keyframe.id)?;
+        let stamp_ns = keyframe.stamp_ns;
+        let at = sequence.frames.binary_search_by_key(&stamp_ns, |frame| frame.stamp_ns).ok()?;
+        Some((keyframe.id, sequence.frames[at].features.get(camera)?))
+    };
+    contents.keyframes.iter().filter_map(features).collect()
 }
 
 /// The landmarks of a map that keyframes outside of a part observe.

@@ -49,11 +49,11 @@ pub(crate) struct Sighting {
 /// # Arguments
 /// * `contents`: with the session.
 /// * `session`: ids of its keyframes.
-/// * `features`: all features of its images, by time (ns).
+/// * `features`: all features of the image of each of these.
 pub(crate) fn sightings(
     contents: &MapContents,
     session: &RangeInclusive<KeyframeId>,
-    features: &BTreeMap<i64, &FeatureSet>,
+    features: &BTreeMap<KeyframeId, &FeatureSet>,
 ) -> Vec<Sighting> {
     let map = View { index: MapIndex::of(contents), session };
     let mut found: BTreeMap<usize, Sighting> = BTreeMap::new();
@@ -65,7 +65,7 @@ pub(crate) fn sightings(
             entry.seen = true;
         }
         let partners = map.partners(&observed);
-        let Some(features) = features.get(&keyframe.stamp_ns).filter(|_| !partners.is_empty()) else {
+        let Some(features) = features.get(&keyframe.id).filter(|_| !partners.is_empty()) else {
             continue;
         };
         let image = SessionImage { keyframe, features, observed: &map.pixels(at) };

@@ -64,8 +64,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
     pub(super) fn groups_of(&self, frame: &Frame) -> impl Iterator<Item = usize> {
         let has_features = |group: &CameraGroup| match &self.extraction {
             Some(_) => frame.images.contains_key(&group.first),
-            // A recording has those of camera 0.
-            None => group.first == 0 && frame.features.as_ref().is_some_and(|features| !features.is_empty()),
+            None => frame.features.get(&group.first).is_some_and(|features| !features.is_empty()),
         };
         let groups = self.rig.groups.iter().enumerate();
         groups.filter(move |(_, group)| has_features(group)).map(|(index, _)| index)
@@ -114,10 +113,10 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         frame: &'f Frame,
         group: usize,
     ) -> Result<Option<Cow<'f, FeatureSet>>, BuildError> {
-        if self.extraction.is_none() {
-            return Ok(frame.features.as_ref().map(Cow::Borrowed));
-        }
         let camera = self.camera_of(group);
+        if self.extraction.is_none() {
+            return Ok(frame.features.get(&camera).map(Cow::Borrowed));
+        }
         Ok(self.extract(frame, camera)?.map(|features| Cow::Owned(self.named(features))))
     }
 

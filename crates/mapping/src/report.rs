@@ -158,7 +158,6 @@ mod tests {
     fn the_longest_stretch_without_tracks_is_found() {
         let frame = |k: i64, tracks: u64| Frame {
             stamp_ns: k * 500_000_000,
-            features: None,
             tracks: (0..tracks)
                 .map(|feature_id| TrackObservation { camera: 0, feature_id, pixel: Vector2::zeros() })
                 .collect(),

@@ -28,12 +28,8 @@ impl Robot<'_> {
         if self.map.queries.is_none() || self.supervisor.config().mode == MapMode::Odometry {
             return;
         }
-        if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
-            if let Some(estimator) = self.supervisor.estimator_mut() {
-                estimator.pin(clone);
-            }
-            // Features of a recording are those of camera 0.
-            self.send_query(QueryImage { clone, camera: 0 }, frame.stamp_ns, features.clone());
+        if !frame.features.is_empty() {
+            self.query_recorded_features(clone, frame);
             return;
         }
         let Some(extraction) = &mut self.extraction else { return };
@@ -50,6 +46,18 @@ impl Robot<'_> {
             extraction.submit(QueryImage { clone, camera }, frame.stamp_ns, image.clone());
             self.query_cameras.note_query(camera, frame.stamp_ns);
             self.last_extraction_ns = Some(frame.stamp_ns);
+        }
+    }
+
+    /// Queries the map with the features that a recording has of a frame.
+    fn query_recorded_features(&mut self, clone: CloneId, frame: &Frame) {
+        for camera in self.query_cameras.next(frame, self.settings.query_cameras) {
+            let Some(features) = frame.features.get(&camera) else { continue };
+            if let Some(estimator) = self.supervisor.estimator_mut() {
+                estimator.pin(clone);
+            }
+            self.query_cameras.note_query(camera, frame.stamp_ns);
+            self.send_query(QueryImage { clone, camera }, frame.stamp_ns, features.clone());
         }
     }
 

@@ -51,13 +51,18 @@ impl QueryCameras {
         self.cameras.get(camera)
     }
 
-    /// The cameras to ask about, `number` at most, of those that a frame has an image of: the most urgent first.
+    /// The cameras to ask about, `number` at most, of those that a frame has features of, or where it has none, an image: the most
+    /// urgent first.
     pub(crate) fn next(&self, frame: &Frame, number: usize) -> Vec<usize> {
         let urgency = |asked: &AskedCamera| {
             let waited = asked.last_ns.map_or(f64::INFINITY, |last_ns| (frame.stamp_ns - last_ns) as f64);
             waited * asked.success.max(LEAST_SUCCESS)
         };
-        let there = self.asked.iter().filter(|asked| frame.images.contains_key(&asked.camera));
+        let is_there = |camera: usize| match frame.features.get(&camera) {
+            Some(features) => !features.is_empty(),
+            None => frame.features.is_empty() && frame.images.contains_key(&camera),
+        };
+        let there = self.asked.iter().filter(|asked| is_there(asked.camera));
         let mut there: Vec<(f64, usize)> = there.map(|asked| (urgency(asked), asked.camera)).collect();
         // Of equal ones the first.
         there.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -86,6 +91,7 @@ mod tests {
     use super::*;
     use geometry::{Distortion, Pose};
     use nalgebra::{UnitQuaternion, Vector3};
+    use protocol::{DescriptorKind, Descriptors, FeatureSet};
     use sensors::ImageData;
 
     /// Two cameras that look ahead, one to the side and one back.
@@ -137,6 +143,19 @@ mod tests {
         let cameras = cameras();
         assert_eq!(cameras.next(&frame(0, &[1, 3]), 1), [3]);
         assert!(cameras.next(&frame(0, &[1]), 1).is_empty());
+    }
+
+    #[test]
+    fn of_a_frame_with_features_the_cameras_are_asked_that_they_are_of() {
+        let cameras = cameras();
+        let mut frame = frame(0, &[0, 2]);
+        let set = |count: usize| FeatureSet {
+            pixels: vec![[1.0, 2.0]; count],
+            descriptors: Descriptors { kind: DescriptorKind::Binary, width: 1, bytes: vec![0; count] },
+            extractor: String::new(),
+        };
+        frame.features = [(0, set(0)), (3, set(4))].into();
+        assert_eq!(cameras.next(&frame, 9), [3]);
     }
 
     #[test]

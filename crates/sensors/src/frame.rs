@@ -22,8 +22,8 @@ pub struct Frame {
     pub images: BTreeMap<usize, ImageData>,
     /// Tracked points (pixels); empty where nothing was tracked.
     pub tracks: Vec<TrackObservation>,
-    /// Features of the image of camera 0 for place recognition, where they were extracted.
-    pub features: Option<FeatureSet>,
+    /// Features of images for place recognition by the index of their camera, of those of which they were extracted.
+    pub features: BTreeMap<usize, FeatureSet>,
 }
 
 /// An image, or where to read it. Clones share the pixels.

@@ -34,7 +34,7 @@
 //! DIR/mav0/cam0/{sensor.yaml,data.csv}                   a camera and the time stamps of its images; cam1 alike
 //! DIR/mav0/cam0/data/*                                   the images, PNG or JPEG, if there are any
 //! DIR/mav0/cam0/tracks.csv                               tracked points: time, feature id, pixel; cam1 alike
-//! DIR/mav0/cam0/features.csv                             features for place recognition: time, pixel, descriptor
+//! DIR/mav0/cam0/features.csv                             features for place recognition: time, pixel, descriptor; cam1 alike
 //! DIR/mav0/wheels0/{data.csv,sensor.yaml}                the wheels of a differential drive, if there are any; the geometry may be missing
 //! DIR/mav0/state_groundtruth_estimate0/data.csv          ground truth, if known; or mav0/mocap0/data.csv (TUM-VI)
 //! DIR/reference_poses.csv                                poses to build a map from, if there are any

@@ -27,11 +27,10 @@ impl SessionRecording {
             cameras: header.cameras,
             ..SensorCalibration::default()
         };
-        let frames = session.frames.into_iter().map(|frame| Frame {
-            stamp_ns: frame.stamp_ns,
-            tracks: frame.tracks,
-            features: frame.features,
-            ..Frame::default()
+        let frames = session.frames.into_iter().map(|frame| {
+            let candidates = frame.candidates.into_iter();
+            let features = candidates.map(|candidate| (candidate.camera, candidate.features)).collect();
+            Frame { stamp_ns: frame.stamp_ns, tracks: frame.tracks, features, ..Frame::default() }
         });
         let (path, readings) = (path.to_path_buf(), session.readings.into());
         Ok((Self { path, readings, frames: frames.collect() }, calibration))

@@ -163,7 +163,7 @@ impl Contents {
         *self.frames.get_or_insert_default() += 1;
         self.images |= !frame.images.is_empty();
         self.tracks |= !frame.tracks.is_empty();
-        self.features |= frame.features.is_some();
+        self.features |= !frame.features.is_empty();
     }
 }
 

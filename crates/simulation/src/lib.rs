@@ -77,6 +77,8 @@ pub struct SimulationOptions {
     /// Time of the second camera's images after those of the first, seconds, which the calibration states; at most 5 ms, beyond which
     /// it would be one of the stamps.
     pub second_delay_s: f64,
+    /// Whether there is a third camera, which looks back, with tracks and features of its own.
+    pub rear_camera: bool,
     /// IMU samples a second.
     pub imu_rate_hz: f64,
     /// Noise densities of the IMU as its calibration states them; EuRoC's by default.
@@ -91,7 +93,7 @@ pub struct SimulationOptions {
     pub depth_m: [f64; 2],
     /// Range of distances at which a landmark is visible, metres.
     pub sight_m: [f64; 2],
-    /// Most tracks in a frame.
+    /// Most tracks of a stereo pair or single camera in a frame.
     pub max_tracks: usize,
     /// Standard deviation of a tracked pixel, px.
     pub sigma_track_px: f64,
@@ -133,6 +135,7 @@ impl Default for SimulationOptions {
             frame_rate_hz: 10.0,
             readout_s: 0.0,
             second_delay_s: 0.0,
+            rear_camera: false,
             imu_rate_hz: 200.0,
             imu_noise: ImuNoise::default(),
             imu_noise_scale: 1.0,
@@ -159,6 +162,15 @@ impl Default for SimulationOptions {
 }
 
 impl SimulationOptions {
+    /// The cameras of the robot.
+    fn cameras(&self) -> Vec<CameraSensor> {
+        let mut cameras = rig::stereo(self.frame_rate_hz, self.readout_s, self.second_delay_s);
+        if self.rear_camera {
+            cameras.push(rig::rear(&cameras[0]));
+        }
+        cameras
+    }
+
     /// Checks that the options can be simulated.
     fn check(&self) -> Result<(), SimulationError> {
         let positive = [
@@ -267,7 +279,7 @@ pub fn simulate(options: &SimulationOptions) -> Result<SimulatedScenario, Simula
 
 /// A world and two trajectories through it, before anything is recorded.
 pub(crate) struct SimulatedWorld {
-    /// Left and right camera.
+    /// Left and right camera, then the rear one.
     pub(crate) cameras: Vec<CameraSensor>,
     /// All landmarks.
     pub(crate) landmarks: Vec<Landmark>,
@@ -281,8 +293,8 @@ pub(crate) struct SimulatedWorld {
 pub(crate) fn simulate_world(options: &SimulationOptions) -> Result<SimulatedWorld, SimulationError> {
     options.check()?;
     let trajectories = run::trajectories(options)?;
-    let cameras = rig::stereo(options.frame_rate_hz, options.readout_s, options.second_delay_s);
-    let landmarks = world::landmarks(options, &cameras[0], &trajectories.first_laps);
+    let cameras = options.cameras();
+    let landmarks = world::landmarks(options, &cameras, &trajectories.first_laps);
     Ok(SimulatedWorld {
         cameras,
         landmarks,

@@ -1,9 +1,10 @@
-//! The cameras of the simulated robot: a forward-looking stereo pair.
+//! The cameras of the simulated robot: a forward-looking stereo pair, and one that looks back.
 
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use sensors::CameraSensor;
+use std::f64::consts::PI;
 
 /// Distance between the two cameras, metres: EuRoC's.
 const BASELINE: f64 = 0.11;
@@ -36,4 +37,10 @@ pub(crate) fn stereo(rate_hz: f64, readout_s: f64, second_delay_s: f64) -> Vec<C
             CameraSensor { readout_s, time_shift_s, ..CameraSensor::new(camera.clone(), mounted, rate_hz) }
         })
         .collect()
+}
+
+/// A camera as the left one of the pair, which looks back from behind the body.
+pub(crate) fn rear(left: &CameraSensor) -> CameraSensor {
+    let turned = Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI), Vector3::zeros());
+    CameraSensor { imu_from_camera: turned * left.imu_from_camera, time_shift_s: 0.0, ..left.clone() }
 }

@@ -10,7 +10,7 @@ use super::{GRAVITY, Scenario, SimulationError, SimulationOptions, imu, path};
 use geometry::pose::Pose;
 use geometry::rotation;
 use nalgebra::Vector3;
-use sensors::{CameraSensor, Frame, ImuSensor, ReferencePose, Sequence, TruthRow};
+use sensors::{CameraSensor, Frame, ImuSensor, ReferencePose, Sequence, TruthRow, camera_groups};
 use std::path::PathBuf;
 
 /// Start of the map's run, nanoseconds; arbitrary.
@@ -156,12 +156,13 @@ fn frames(
     cameras: &[CameraSensor],
     landmarks: &[Landmark],
 ) -> Vec<Frame> {
-    let mut front_end = FrontEnd::new(options, run.number);
+    let mut front_end = FrontEnd::new(options, run.number, cameras);
     let mut extractor = Extractor::new(options, run.number);
     let (dropouts, period_s) = match run.kind {
         Kind::Map => (Vec::new(), options.map_feature_period_s),
         Kind::Live => (dropout_intervals(options, run.number), options.live_feature_period_s),
     };
+    let described: Vec<usize> = camera_groups(cameras).iter().map(|group| group.first).collect();
     let every = (period_s * options.frame_rate_hz).round().max(1.0) as usize;
     let duration = (trajectory.end_ns() - trajectory.start_ns()) as f64;
     frame_stamps(options, trajectory)
@@ -171,10 +172,12 @@ fn frames(
             let fraction = (stamp_ns - trajectory.start_ns()) as f64 / duration;
             let has_features =
                 index.is_multiple_of(every) && !dropouts.iter().any(|stretch| stretch.contains(&fraction));
+            let described = if has_features { &described[..] } else { &[] };
+            let mut extract = |camera: usize| extractor.extract(&exposure, &cameras[camera], landmarks);
             Frame {
                 stamp_ns,
-                tracks: front_end.track(&exposure, cameras, landmarks),
-                features: has_features.then(|| extractor.extract(&exposure, &cameras[0], landmarks)),
+                tracks: front_end.track(&exposure, landmarks),
+                features: described.iter().map(|&camera| (camera, extract(camera))).collect(),
                 ..Frame::default()
             }
         })
@@ -196,10 +199,10 @@ pub(crate) fn frame_stamps(
 fn reference_poses(options: &SimulationOptions, trajectory: &Spline, frames: &[Frame]) -> Vec<ReferencePose> {
     let mut rng = stream(options.seed, Kind::Map as u64, Purpose::Reference);
     let (sigma_theta_rad, sigma_p_m) = (options.sigma_reference_theta_rad, options.sigma_reference_p_m);
-    let has_features = frames.iter().any(|frame| frame.features.is_some());
+    let has_features = frames.iter().any(|frame| !frame.features.is_empty());
     frames
         .iter()
-        .filter(|frame| !has_features || frame.features.is_some())
+        .filter(|frame| !has_features || !frame.features.is_empty())
         .map(|frame| {
             let truth = trajectory.at(frame.stamp_ns).pose;
             let turn: Vector3<f64> = normal3(&mut rng) * sigma_theta_rad;

@@ -1,4 +1,4 @@
-//! The odometry front end: tracks of the visible landmarks in both cameras, with pixel noise.
+//! The odometry front end: tracks of the visible landmarks in each stereo pair and single camera, with pixel noise.
 
 use super::SimulationOptions;
 use super::exposure::Exposure;
@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use rand::RngExt;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
-use sensors::{CameraSensor, TrackObservation};
+use sensors::{CameraGroup, CameraSensor, TrackObservation, camera_groups};
 use std::collections::BTreeMap;
 
 /// Probability that a track is lost, a frame.
@@ -19,45 +19,56 @@ const PIXEL_PARTS: f64 = 1000.0;
 /// The front end, between two images.
 pub(crate) struct FrontEnd<'a> {
     options: &'a SimulationOptions,
+    cameras: &'a [CameraSensor],
+    groups: Vec<CameraGroup>,
     rng: StdRng,
-    /// Landmark of each track that is alive, and the track's id.
-    alive: BTreeMap<usize, u64>,
+    /// Landmark of each track of a pair or single camera that is alive, and the track's id.
+    alive: Vec<BTreeMap<usize, u64>>,
     next_id: u64,
 }
 
 impl<'a> FrontEnd<'a> {
-    pub(crate) fn new(options: &'a SimulationOptions, run: u64) -> Self {
+    pub(crate) fn new(options: &'a SimulationOptions, run: u64, cameras: &'a [CameraSensor]) -> Self {
         let rng = stream(options.seed, run, Purpose::Tracks);
-        Self { options, rng, alive: BTreeMap::new(), next_id: 0 }
+        let groups = camera_groups(cameras);
+        let alive = vec![BTreeMap::new(); groups.len()];
+        Self { options, cameras, groups, rng, alive, next_id: 0 }
     }
 
     /// Tracks into the next image. A landmark that comes back after a gap gets a new id, as from a real tracker.
-    pub(crate) fn track(
+    pub(crate) fn track(&mut self, exposure: &Exposure<'_>, landmarks: &[Landmark]) -> Vec<TrackObservation> {
+        let groups = 0..self.groups.len();
+        groups.flat_map(|group| self.track_group(group, exposure, landmarks)).collect()
+    }
+
+    fn track_group(
         &mut self,
+        group: usize,
         exposure: &Exposure<'_>,
-        cameras: &[CameraSensor],
         landmarks: &[Landmark],
     ) -> Vec<TrackObservation> {
-        let seen = visible(self.options, exposure, &cameras[0], landmarks);
+        let first = &self.cameras[self.groups[group].first];
+        let seen = visible(self.options, exposure, first, landmarks);
         let pixels: BTreeMap<usize, Vector2<f64>> = seen.iter().copied().collect();
-        let rng = &mut self.rng;
-        self.alive.retain(|landmark, _| pixels.contains_key(landmark) && !rng.random_bool(LOSS));
+        let (rng, alive) = (&mut self.rng, &mut self.alive[group]);
+        alive.retain(|landmark, _| pixels.contains_key(landmark) && !rng.random_bool(LOSS));
         let mut fresh: Vec<usize> = seen
             .iter()
             .map(|(landmark, _)| *landmark)
-            .filter(|landmark| !self.alive.contains_key(landmark))
+            .filter(|landmark| !alive.contains_key(landmark))
             .collect();
-        fresh.shuffle(&mut self.rng);
-        fresh.truncate(self.options.max_tracks.saturating_sub(self.alive.len()));
+        fresh.shuffle(rng);
+        fresh.truncate(self.options.max_tracks.saturating_sub(alive.len()));
         for landmark in fresh {
-            self.alive.insert(landmark, self.next_id);
+            alive.insert(landmark, self.next_id);
             self.next_id += 1;
         }
-        let mut observations = Vec::with_capacity(2 * self.alive.len());
-        for (camera, sensor) in cameras.iter().enumerate() {
-            for (landmark, feature_id) in &self.alive {
+        let mut observations = Vec::with_capacity(2 * alive.len());
+        for camera in self.groups[group].cameras() {
+            let sensor = &self.cameras[camera];
+            for (landmark, feature_id) in &*alive {
                 let exact = exposure.project(sensor, &landmarks[*landmark].position);
-                let noisy = exact.map(|pixel| measured(&mut self.rng, self.options, pixel));
+                let noisy = exact.map(|pixel| measured(rng, self.options, pixel));
                 if let Some(pixel) = noisy.filter(|pixel| sensor.camera.contains(pixel)) {
                     observations.push(TrackObservation {
                         camera: camera as u8,

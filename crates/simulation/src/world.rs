@@ -7,7 +7,7 @@ use geometry::rotation;
 use nalgebra::{Vector2, Vector3};
 use rand::RngExt;
 use rand::rngs::StdRng;
-use sensors::CameraSensor;
+use sensors::{CameraSensor, camera_groups};
 
 /// Bytes a descriptor (256 bits).
 pub(crate) const DESCRIPTOR_BYTES: usize = 32;
@@ -25,17 +25,19 @@ pub(crate) struct Landmark {
     pub(crate) descriptor: [u8; DESCRIPTOR_BYTES],
 }
 
-/// Distributes landmarks along the trajectories of all runs, in proportion to what the camera newly sees.
+/// Distributes landmarks along the trajectories of all runs, in proportion to what each stereo pair or single camera newly sees.
 pub(crate) fn landmarks(
     options: &SimulationOptions,
-    camera: &CameraSensor,
+    cameras: &[CameraSensor],
     trajectories: &[Spline],
 ) -> Vec<Landmark> {
     let mut rng = stream(options.seed, 0, Purpose::World);
     let mut landmarks: Vec<Landmark> = Vec::new();
     // Each run contributes its part, so that both see the same density.
     let density = options.landmarks_per_metre / trajectories.len() as f64;
-    for trajectory in trajectories {
+    let groups = camera_groups(cameras);
+    let firsts = groups.iter().map(|group| &cameras[group.first]);
+    for (camera, trajectory) in firsts.flat_map(|camera| trajectories.iter().map(move |of| (camera, of))) {
         // The view of the start has as many landmarks as one reached by driving.
         let mut due = density * 15.0;
         let mut before = trajectory.at(trajectory.start_ns()).pose;

@@ -186,7 +186,7 @@ fn summary(path: PathBuf, sequence: &Sequence) -> Summary {
         frames: sequence.frames.len(),
         imu_samples: sequence.imu_samples.len(),
         track_observations: sequence.frames.iter().map(|frame| frame.tracks.len()).sum(),
-        images_with_features: sequence.frames.iter().filter(|frame| frame.features.is_some()).count(),
+        images_with_features: sequence.frames.iter().filter(|frame| !frame.features.is_empty()).count(),
         images: sequence.frames.iter().map(|frame| frame.images.len()).sum(),
     }
 }

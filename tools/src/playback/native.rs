@@ -90,7 +90,7 @@ impl SensorTopics for NativeTopics<'_> {
             let row =
                 |track: &TrackObservation| (track.camera, track.feature_id, track.pixel.x, track.pixel.y);
             let tracks = frame.tracks.iter().map(row).collect();
-            let message = TracksMessage { stamp_ns, tracks, features: frame.features.clone() };
+            let message = TracksMessage { stamp_ns, tracks, features: frame.features.get(&0).cloned() };
             return self.put(&self.tracks, serde_json::to_vec(&message)?, None);
         }
         for (camera, image) in &frame.images {

@@ -64,7 +64,7 @@ pub struct Comparison {
 /// # Arguments
 /// * `longer_than_ns`: images with features come at intervals; a gap counts only if it is longer.
 pub fn stretches_without_features(frames: &[Frame], longer_than_ns: i64) -> Vec<Range<i64>> {
-    let with_features = frames.iter().filter(|frame| frame.features.is_some()).map(|frame| frame.stamp_ns);
+    let with_features = frames.iter().filter(|frame| !frame.features.is_empty()).map(|frame| frame.stamp_ns);
     let first = frames.first().map(|frame| frame.stamp_ns);
     let last = frames.last().map(|frame| frame.stamp_ns);
     let stamps: Vec<i64> = first.into_iter().chain(with_features).chain(last).collect();

@@ -207,19 +207,15 @@ fn runs_are_compared_in_one_picture() {
 
 #[test]
 fn gaps_without_features_are_found_at_the_ends_too() {
-    let frame = |index: i64| sensors::Frame {
-        stamp_ns: index,
-        tracks: Vec::new(),
-        features: (index > 4 && index % 2 == 0 && index != 8).then(|| protocol::FeatureSet {
-            pixels: Vec::new(),
-            descriptors: protocol::Descriptors {
-                kind: protocol::DescriptorKind::Binary,
-                width: 32,
-                bytes: Vec::new(),
-            },
-            extractor: String::new(),
-        }),
-        ..sensors::Frame::default()
+    let format = protocol::DescriptorFormat { kind: protocol::DescriptorKind::Binary, width: 32 };
+    let frame = |index: i64| {
+        let has_features = index > 4 && index % 2 == 0 && index != 8;
+        let features = has_features.then(|| (0, protocol::FeatureSet::empty(format)));
+        sensors::Frame {
+            stamp_ns: index,
+            features: features.into_iter().collect(),
+            ..sensors::Frame::default()
+        }
     };
     let frames: Vec<_> = (0..20).map(frame).collect();
     assert_eq!(comparison::stretches_without_features(&frames, 2), [0..6, 6..10]);

@@ -3,7 +3,7 @@
 use protocol::MapIdentity;
 use types::{KeyframeId, LandmarkId};
 
-use super::Times;
+use super::{ChunkFormat, Times};
 use crate::bytes::{Reader, Writer};
 use crate::error::ChunkError;
 
@@ -15,6 +15,8 @@ use crate::error::ChunkError;
 pub struct Answer {
     /// Time of the image, nanoseconds.
     pub stamp_ns: i64,
+    /// Its camera.
+    pub camera: usize,
     /// The map.
     pub map_identity: MapIdentity,
     /// Its version.
@@ -40,11 +42,13 @@ pub struct AnsweredMatch {
     pub keyframe: KeyframeId,
 }
 
-pub(super) fn write(out: &mut Writer, answers: &[Answer]) {
-    out.unsigned(answers.len() as u64);
+pub(super) fn write(out: &mut Writer, answers: &[Answer], format: ChunkFormat) {
+    let written = || answers.iter().filter(|answer| format.has_camera(answer.camera));
+    out.unsigned(written().count() as u64);
     let mut times = Times(None);
-    for answer in answers {
+    for answer in written() {
         times.write(out, answer.stamp_ns);
+        format.write_camera(out, answer.camera);
         out.bytes(&answer.map_identity.to_bytes());
         out.unsigned(answer.map_version);
         out.unsigned(answer.inliers);
@@ -61,11 +65,15 @@ pub(super) fn write(out: &mut Writer, answers: &[Answer]) {
     }
 }
 
-pub(super) fn read(input: &mut Reader<'_>) -> Result<Vec<Answer>, ChunkError> {
+pub(super) fn read(input: &mut Reader<'_>, format: ChunkFormat) -> Result<Vec<Answer>, ChunkError> {
     let (mut answers, count) = input.list()?;
-    let mut times = Times(None);
+    let (mut times, mut last) = (Times(None), None);
     for _ in 0..count {
-        let stamp_ns = times.read(input)?;
+        let stamp_ns = times.read_same_or_later(input)?;
+        let camera = format.read_camera(input)?;
+        if last.replace((stamp_ns, camera)) >= Some((stamp_ns, camera)) {
+            return Err(ChunkError::Order);
+        }
         let map_identity = MapIdentity::from_bytes(input.array()?);
         let (map_version, inliers, used) = (input.unsigned()?, input.unsigned()?, input.unsigned()?);
         let accepted = match input.unsigned()? {
@@ -82,7 +90,16 @@ pub(super) fn read(input: &mut Reader<'_>) -> Result<Vec<Answer>, ChunkError> {
             keyframe = keyframe.wrapping_add(input.signed()? as u64);
             matches.push(AnsweredMatch { feature, landmark, keyframe });
         }
-        answers.push(Answer { stamp_ns, map_identity, map_version, inliers, used, accepted, matches });
+        answers.push(Answer {
+            stamp_ns,
+            camera,
+            map_identity,
+            map_version,
+            inliers,
+            used,
+            accepted,
+            matches,
+        });
     }
     Ok(answers)
 }

@@ -1,17 +1,21 @@
 //! A chunk: all that a robot recorded in a few seconds. It is read by itself, whatever became of those before it.
 
 mod answers;
+mod candidates;
 mod frames;
 mod identity;
+mod pixels;
 mod readings;
 
-use types::{FeatureSet, ImuSample, TrackObservation};
+use types::{ImuSample, TrackObservation};
 
 pub use answers::{Answer, AnsweredMatch};
+pub use candidates::Candidate;
 pub use identity::RecordedSoFar;
 
 use crate::bytes::{Reader, Writer};
 use crate::error::ChunkError;
+use crate::schema::Schema;
 
 /// What the cameras of a robot saw at one instant.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,8 +24,8 @@ pub struct SessionFrame {
     pub stamp_ns: i64,
     /// Tracked points, by id and camera; pixels to a 16th.
     pub tracks: Vec<TrackObservation>,
-    /// Features of the image of camera 0, of a keyframe candidate; pixels to an eighth.
-    pub features: Option<FeatureSet>,
+    /// Its images that are keyframe candidates, ascending by camera.
+    pub candidates: Vec<Candidate>,
 }
 
 /// Some seconds of a session.
@@ -37,31 +41,63 @@ pub struct Chunk {
     pub answers: Vec<Answer>,
 }
 
+/// How the chunks of a file are written.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ChunkFormat {
+    /// The version of the format.
+    pub(crate) schema: Schema,
+    /// What readings are rounded to: of the gyroscope (rad/s) and of the accelerometer (m/s^2).
+    pub(crate) steps: [f64; 2],
+    /// How many cameras there are.
+    pub(crate) cameras: usize,
+}
+
+impl ChunkFormat {
+    /// Whether candidates and answers of a camera can be written.
+    fn has_camera(self, camera: usize) -> bool {
+        match self.schema {
+            Schema::FirstCamera => camera == 0,
+            Schema::EachCamera => camera < self.cameras,
+        }
+    }
+
+    /// Writes the camera of a candidate or an answer, where the format states it.
+    fn write_camera(self, out: &mut Writer, camera: usize) {
+        if self.schema == Schema::EachCamera {
+            out.unsigned(camera as u64);
+        }
+    }
+
+    /// Reads what [`ChunkFormat::write_camera`] wrote.
+    fn read_camera(self, input: &mut Reader<'_>) -> Result<usize, ChunkError> {
+        match self.schema {
+            Schema::FirstCamera => Ok(0),
+            Schema::EachCamera => usize::try_from(input.unsigned()?)
+                .ok()
+                .filter(|camera| *camera < self.cameras)
+                .ok_or(ChunkError::Range("the camera of an image")),
+        }
+    }
+}
+
 /// The bytes of a chunk.
-///
-/// # Arguments
-/// * `steps`: what readings are rounded to, of the gyroscope (rad/s) and of the accelerometer (m/s^2).
-pub(crate) fn encode(chunk: &Chunk, steps: [f64; 2]) -> Vec<u8> {
+pub(crate) fn encode(chunk: &Chunk, format: ChunkFormat) -> Vec<u8> {
     let mut out = Writer::default();
     identity::write(&mut out, &chunk.recorded);
-    readings::write(&mut out, &chunk.readings, steps);
-    frames::write(&mut out, &chunk.frames);
-    answers::write(&mut out, &chunk.answers);
+    readings::write(&mut out, &chunk.readings, format.steps);
+    frames::write(&mut out, &chunk.frames, format);
+    answers::write(&mut out, &chunk.answers, format);
     out.0
 }
 
 /// The chunk of some bytes, and how many bytes of memory it takes.
-///
-/// # Arguments
-/// * `steps`: those that it was written with.
-/// * `cameras`: how many there are.
-pub(crate) fn decode(bytes: &[u8], steps: [f64; 2], cameras: usize) -> Result<(Chunk, u64), ChunkError> {
+pub(crate) fn decode(bytes: &[u8], format: ChunkFormat) -> Result<(Chunk, u64), ChunkError> {
     let mut input = Reader::new(bytes);
     let chunk = Chunk {
         recorded: identity::read(&mut input)?,
-        readings: readings::read(&mut input, steps)?,
-        frames: frames::read(&mut input, cameras)?,
-        answers: answers::read(&mut input)?,
+        readings: readings::read(&mut input, format.steps)?,
+        frames: frames::read(&mut input, format)?,
+        answers: answers::read(&mut input, format)?,
     };
     Ok((chunk, input.end()?))
 }
@@ -78,16 +114,20 @@ impl Times {
         self.0 = Some(stamp_ns);
     }
 
+    /// A time after the last one.
     fn read(&mut self, input: &mut Reader<'_>) -> Result<i64, ChunkError> {
+        let last_ns = self.0;
+        let stamp_ns = self.read_same_or_later(input)?;
+        if last_ns == Some(stamp_ns) { Err(ChunkError::Order) } else { Ok(stamp_ns) }
+    }
+
+    /// A time that is not before the last one.
+    fn read_same_or_later(&mut self, input: &mut Reader<'_>) -> Result<i64, ChunkError> {
         let stamp_ns = match self.0 {
             None => input.signed()?,
             Some(last_ns) => {
                 let step = i64::try_from(input.unsigned()?).map_err(|_| ChunkError::Order)?;
-                let next_ns = last_ns.checked_add(step).ok_or(ChunkError::Order)?;
-                if next_ns <= last_ns {
-                    return Err(ChunkError::Order);
-                }
-                next_ns
+                last_ns.checked_add(step).ok_or(ChunkError::Order)?
             }
         };
         self.0 = Some(stamp_ns);

@@ -12,7 +12,7 @@ use protocol::{KeyframeId, LandmarkId};
 use super::error::ExtendError;
 use super::report::ExtensionReport;
 use crate::added_features::place_added;
-use crate::assemble::{map_contents, map_observation, stated_keyframes};
+use crate::assemble::{keyframe_id, map_contents, map_observation, stated_keyframes};
 use crate::joint_covariance::{JointCovariance, StatedKeyframe};
 use crate::options::MapPoses;
 use crate::parts::{LocatedErrors, located_errors};
@@ -160,6 +160,19 @@ fn place_again(contents: &mut MapContents, again: &[InverseDepthLandmark]) {
             landmark.position_in_anchor = *position;
         }
     }
+}
+
+/// The camera of each new keyframe.
+pub(super) fn cameras_of_new(stored: &MapContents, builder: &Builder<'_, '_>) -> BTreeMap<KeyframeId, usize> {
+    let last = last_keyframe(stored);
+    let mut cameras = BTreeMap::new();
+    for (view, content) in builder.views.iter().enumerate() {
+        for image in &content.images {
+            let id = last + keyframe_id(&builder.rig, view, image.group);
+            cameras.insert(id, builder.rig.groups[image.group].first);
+        }
+    }
+    cameras
 }
 
 /// Fills in the statistics of the extended map.

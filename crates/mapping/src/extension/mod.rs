@@ -136,6 +136,7 @@ pub fn extend_map(
     }
     let mut contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
     find_aliases(&mut contents, builder.progress)?;
+    report.cameras = assemble::cameras_of_new(stored, &builder);
     assemble::fill_report(&mut report, stored, &contents, &both);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

@@ -1,5 +1,8 @@
 //! Statistics of an extension.
 
+use std::collections::BTreeMap;
+
+use protocol::KeyframeId;
 use serde::Serialize;
 
 /// Statistics of a run of [`crate::extend_map`].
@@ -8,6 +11,9 @@ use serde::Serialize;
 pub struct ExtensionReport {
     /// Keyframes of the recording.
     pub new_keyframes: usize,
+    /// The camera of each of them, by its id in the map: the first one of a stereo pair, or a single one.
+    #[serde(skip)]
+    pub cameras: BTreeMap<KeyframeId, usize>,
     /// Images of the recording that could not be read and were left out, with the reason.
     pub unreadable_images: Vec<String>,
     /// Loops within the recording.

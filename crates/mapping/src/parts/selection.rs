@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use geometry::camera::Camera;
 use map::contents::MapContents;
 use nalgebra::Vector3;
-use protocol::KeyframeId;
+use protocol::{FeatureSet, KeyframeId};
 use recognition::{LoadedMap, RecognitionOptions};
 use sensors::Sequence;
 
@@ -13,7 +14,7 @@ use crate::extension::ExtendError;
 use crate::places::{MIN_AGREEING, searchable};
 use crate::progress::{Progress, Stage};
 
-/// Images that are searched in the map, at most: along the whole recording.
+/// Images that are searched in the map, about: along the whole recording, of each camera.
 const PROBES: usize = 40;
 /// Places of one image that count: those with the most matches.
 const PLACES_AN_IMAGE: usize = 2;
@@ -32,15 +33,12 @@ pub fn part_shown(
     most: usize,
     progress: Progress<'_>,
 ) -> Result<BTreeSet<KeyframeId>, ExtendError> {
-    let camera = sequence.cameras.first().map(|sensor| &sensor.camera);
-    let features: Vec<_> = sequence.frames.iter().filter_map(|frame| frame.features.as_ref()).collect();
-    let step = features.len().div_ceil(PROBES).max(1);
-    let probes: Vec<_> = features.into_iter().step_by(step).collect();
+    let probes = probes(sequence);
     let loaded = LoadedMap::from_contents(searchable(map)).map_err(BuildError::from)?;
     let options = RecognitionOptions::default();
     let mut found: Vec<Vector3<f64>> = Vec::new();
     let mut images = 0;
-    for (done, (features, camera)) in probes.iter().zip(camera.iter().cycle()).enumerate() {
+    for (done, &(camera, features)) in probes.iter().enumerate() {
         progress(Stage::PlaceRecognition, done, probes.len());
         let places = loaded.verified_places(camera, features, None, &|_| true, &options);
         let places = places.map_err(BuildError::from)?;
@@ -71,4 +69,16 @@ pub fn part_shown(
         .collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     Ok(near.into_iter().take(most).map(|(_, id)| id).collect())
+}
+
+/// The images that are searched, with their cameras.
+fn probes(sequence: &Sequence) -> Vec<(&Camera, &FeatureSet)> {
+    let images: usize = sequence.frames.iter().map(|frame| frame.features.len()).sum();
+    let step = images.div_ceil(PROBES).max(1);
+    let mut probes = Vec::new();
+    for (index, sensor) in sequence.cameras.iter().enumerate() {
+        let features = sequence.frames.iter().filter_map(|frame| frame.features.get(&index));
+        probes.extend(features.step_by(step).map(|features| (&sensor.camera, features)));
+    }
+    probes
 }

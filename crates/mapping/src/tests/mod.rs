@@ -113,7 +113,7 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
             labels.push(None);
         }
         let stamp_ns = 1_000_000_000 * (index + 5);
-        world.sequence.frames.push(Frame { stamp_ns, features: Some(features), ..Frame::default() });
+        world.sequence.frames.push(Frame { stamp_ns, features: [(0, features)].into(), ..Frame::default() });
         let sigmas = [SIGMA_THETA, SIGMA_P];
         let error = Vector6::from_fn(|row, _| normal(&mut rng) * sigmas[row / 3] * pose_noise);
         let pose = (global_from_camera * imu_from_camera.inverse()).retract(&error);
@@ -136,7 +136,7 @@ fn label(world: &World, landmark: &map::model::Landmark) -> (usize, usize) {
         .map(|observation| {
             let view = observation.keyframe as usize - 1;
             let wanted = observation.pixel.map(f32::to_bits);
-            let features = world.sequence.frames[view].features.as_ref().unwrap();
+            let features = &world.sequence.frames[view].features[&0];
             let feature = features.pixels.iter().position(|pixel| pixel.map(f32::to_bits) == wanted).unwrap();
             world.labels[view][feature]
         })
@@ -253,7 +253,7 @@ fn input_that_makes_no_map_is_named() {
     }
     assert!(fail(&world, &BuildOptions::default()).contains("reference pose at its time"));
     for frame in &mut world.sequence.frames {
-        frame.features = None;
+        frame.features.clear();
     }
     assert!(fail(&world, &BuildOptions::default()).contains("features.csv"));
 }

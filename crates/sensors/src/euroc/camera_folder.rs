@@ -85,7 +85,6 @@ impl CameraRows {
     fn open(folder: &Path, camera: u8, stamps: &TableStamps) -> Result<Self, SequenceError> {
         let path = folder.join("data.csv");
         let image_folder = folder.join("data");
-        let with_features = camera == 0;
         let mut rows = Self {
             camera,
             images: Table::open_in_order(
@@ -97,11 +96,7 @@ impl CameraRows {
             image_ns: None,
             tracks: ImageRows::open_if_there(&folder.join("tracks.csv"), stamps)?,
             seen_ids: HashSet::new(),
-            features: if with_features {
-                ImageRows::open_if_there(&folder.join("features.csv"), stamps)?
-            } else {
-                None
-            },
+            features: ImageRows::open_if_there(&folder.join("features.csv"), stamps)?,
             width: None,
         };
         rows.advance()?;
@@ -163,7 +158,9 @@ impl CameraRows {
             })?;
         }
         if let Some(features) = &mut self.features {
-            features.take(image_ns, |row| add_feature(row, &mut frame.features, &mut self.width))?;
+            let mut set = None;
+            features.take(image_ns, |row| add_feature(row, &mut set, &mut self.width))?;
+            frame.features.extend(set.map(|set| (usize::from(self.camera), set)));
         }
         self.advance()
     }

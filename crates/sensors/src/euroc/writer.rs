@@ -52,9 +52,9 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
         if sequence.frames.iter().any(tracked) {
             write_file(&folder.join("tracks.csv"), |out| track_rows(out, &sequence.frames, index))?;
         }
-    }
-    if sequence.has_features() {
-        write_file(&mav.join("cam0/features.csv"), |out| feature_rows(out, &sequence.frames))?;
+        if sequence.frames.iter().any(|frame| frame.features.contains_key(&index)) {
+            write_file(&folder.join("features.csv"), |out| feature_rows(out, &sequence.frames, index))?;
+        }
     }
     if let Some(truth) = &sequence.groundtruth {
         write_file(&mav.join("state_groundtruth_estimate0/data.csv"), |out| {
@@ -206,10 +206,10 @@ fn track_rows(out: &mut Out, frames: &[Frame], camera: usize) -> std::io::Result
     Ok(())
 }
 
-fn feature_rows(out: &mut Out, frames: &[Frame]) -> std::io::Result<()> {
+fn feature_rows(out: &mut Out, frames: &[Frame], camera: usize) -> std::io::Result<()> {
     writeln!(out, "#timestamp [ns],u [px],v [px],descriptor [hex]")?;
     for frame in frames {
-        let Some(features) = &frame.features else { continue };
+        let Some(features) = frame.features.get(&camera) else { continue };
         for (index, [u, v]) in features.pixels.iter().enumerate() {
             let descriptor = hexadecimal::encode(features.descriptors.get(index).unwrap_or_default());
             writeln!(out, "{},{u},{v},{descriptor}", frame.stamp_ns)?;

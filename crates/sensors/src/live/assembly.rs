@@ -15,6 +15,7 @@ pub(super) struct PendingFrame {
     /// By camera.
     pub(super) images: BTreeMap<usize, LiveImage>,
     pub(super) tracks: Vec<TrackObservation>,
+    /// Of camera 0.
     pub(super) features: Option<FeatureSet>,
 }
 

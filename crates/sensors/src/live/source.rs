@@ -175,6 +175,8 @@ impl LiveSource {
     /// Decodes the images of a frame; `None` where none of them can be used.
     fn decode(&self, stamp_ns: i64, pending: PendingFrame) -> Option<Frame> {
         let PendingFrame { images, tracks, features } = pending;
+        // A message has the features of camera 0.
+        let features = features.into_iter().map(|features| (0, features)).collect();
         let mut frame = Frame { stamp_ns, images: BTreeMap::new(), tracks, features };
         for (camera, image) in images {
             let Some(sensor) = self.calibration.cameras.get(camera) else { continue };

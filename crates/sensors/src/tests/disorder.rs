@@ -5,7 +5,8 @@ use super::*;
 const IMU: &str = "mav0/imu0/data.csv";
 const TRUTH: &str = "mav0/state_groundtruth_estimate0/data.csv";
 const CAMERAS: [&str; 2] = ["mav0/cam0/data.csv", "mav0/cam1/data.csv"];
-const TRACKS: [&str; 3] = ["mav0/cam0/tracks.csv", "mav0/cam1/tracks.csv", "mav0/cam0/features.csv"];
+const TRACKS: [&str; 4] =
+    ["mav0/cam0/tracks.csv", "mav0/cam1/tracks.csv", "mav0/cam0/features.csv", "mav0/cam1/features.csv"];
 
 /// Reorders the rows below the header of some tables of a recording, and reads it.
 fn read(tables: &[&str], reorder: impl Fn(&mut Vec<String>)) -> Result<Sequence, SequenceError> {

@@ -122,7 +122,10 @@ fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
             }));
         }
     }
-    let features = (index % 3 == 0).then(|| FeatureSet {
+    // Of camera 0 of every third image, of the others of the next ones.
+    let with_features =
+        (0..usize::from(cameras)).filter(|camera| (index as usize + 2 * camera).is_multiple_of(3));
+    let mut set = || FeatureSet {
         pixels: (0..4).map(|_| [rng.random_range(0.0..752.0), rng.random_range(0.0..480.0)]).collect(),
         descriptors: Descriptors {
             kind: DescriptorKind::Binary,
@@ -130,7 +133,8 @@ fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
             bytes: (0..4 * 32).map(|_| rng.random()).collect(),
         },
         extractor: String::new(),
-    });
+    };
+    let features = with_features.map(|camera| (camera, set())).collect();
     Frame { stamp_ns: START_NS + index * 100_000_001, images: BTreeMap::new(), tracks, features }
 }
 

@@ -36,10 +36,13 @@ impl Budget {
 
     /// Takes what may be left out.
     ///
+    /// # Arguments
+    /// * `left`: bytes that must be left for others.
+    ///
     /// # Returns
     /// Whether there was enough.
-    pub(super) fn try_take(&mut self, bytes: f64) -> bool {
-        let is_enough = self.saved >= bytes;
+    pub(super) fn try_take(&mut self, bytes: f64, left: f64) -> bool {
+        let is_enough = self.saved >= bytes + left;
         if is_enough {
             self.saved -= bytes;
         }

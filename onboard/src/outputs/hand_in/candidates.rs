@@ -1,12 +1,12 @@
-//! Which images become keyframe candidates: those that the map was asked about, as the robot moves and the budget allows.
+//! Which images become keyframe candidates: those that the map was asked about, of each camera as the robot moves and the budget allows.
 
 use super::budget::Budget;
 use geometry::Pose;
 use hand_in::{Answer, AnsweredMatch};
 use protocol::{Descriptors, FeatureSet};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-/// A candidate is taken when the robot has moved so far since the last one (m) ...
+/// A candidate of a camera is taken when the robot has moved so far since the last one (m) ...
 const LEAST_DISTANCE_M: f64 = 0.15;
 /// ... or has turned by so much (rad), ...
 const LEAST_ROTATION_RAD: f64 = 0.07;
@@ -21,49 +21,94 @@ const PIXEL_BYTES: usize = 4;
 /// Bytes of a match in an answer, about.
 const MATCH_BYTES: usize = 5;
 
-/// Selects candidates.
+/// Features of an image, and what the map answered about it.
+pub(super) type Described = (FeatureSet, Option<Answer>);
+
+/// Selects candidates, of each camera by itself.
 #[derive(Debug, Default)]
 pub(super) struct Candidates {
+    cameras: BTreeMap<usize, OfCamera>,
+}
+
+/// What was selected of a camera.
+#[derive(Clone, Copy, Debug, Default)]
+struct OfCamera {
+    /// Time of its last candidate (ns), and where odometry said that the robot was.
     last: Option<(i64, Option<Pose>)>,
+    /// Time of an image since then that was a new view and larger than the budget (ns), and its bytes.
+    refused: Option<(i64, f64)>,
 }
 
 impl Candidates {
     /// Begins anew.
     pub(super) fn clear(&mut self) {
-        self.last = None;
+        self.cameras.clear();
     }
 
     /// The odometry frame has changed: poses before and after cannot be compared.
     pub(super) fn forget_pose(&mut self) {
-        if let Some((_, pose)) = &mut self.last {
+        for (_, pose) in self.cameras.values_mut().filter_map(|camera| camera.last.as_mut()) {
             *pose = None;
         }
     }
 
-    /// The features and the answer that are recorded of an image; `None` where it is no candidate.
+    /// The features and the answers that are recorded of the images of one instant, by camera; those that are no candidates are left out.
+    ///
+    /// Where the budget is too small for all, cameras take turns.
     ///
     /// # Arguments
     /// * `local_from_imu`: where odometry says that the robot is: it selects and is not recorded.
+    /// * `images`: by camera.
     pub(super) fn consider(
         &mut self,
         stamp_ns: i64,
         local_from_imu: Option<Pose>,
-        (features, answer): (FeatureSet, Option<Answer>),
+        mut images: BTreeMap<usize, Described>,
         budget: &mut Budget,
-    ) -> Option<(FeatureSet, Option<Answer>)> {
-        if !self.is_new_view(stamp_ns, local_from_imu) {
-            return None;
+    ) -> BTreeMap<usize, Described> {
+        let mut waiting: Vec<usize> = images.keys().copied().collect();
+        waiting.sort_by_key(|&camera| self.turn(camera));
+        let mut taken = BTreeMap::new();
+        for camera in waiting {
+            let of_camera = self.cameras.get(&camera).copied().unwrap_or_default();
+            let Some(image) = images.remove(&camera) else { continue };
+            if !of_camera.is_new_view(stamp_ns, local_from_imu) {
+                continue;
+            }
+            let (features, answer) = strongest(image);
+            let bytes = bytes_of(&features, answer.as_ref());
+            let is_taken = budget.try_take(bytes, self.left_for_others(camera, stamp_ns));
+            let now = if is_taken {
+                taken.insert(camera, (features, answer));
+                OfCamera { last: Some((stamp_ns, local_from_imu)), refused: None }
+            } else {
+                OfCamera { refused: Some((stamp_ns, bytes)), ..of_camera }
+            };
+            self.cameras.insert(camera, now);
         }
-        let (features, answer) = strongest(features, answer);
-        let matches = answer.as_ref().map_or(0, |answer| answer.matches.len());
-        let a_feature = PIXEL_BYTES + usize::from(features.descriptors.width);
-        let bytes = features.len() * a_feature + matches * MATCH_BYTES;
-        budget.try_take(bytes as f64).then(|| {
-            self.last = Some((stamp_ns, local_from_imu));
-            (features, answer)
-        })
+        taken
     }
 
+    /// Cameras whose last candidate is older come first.
+    fn turn(&self, camera: usize) -> (Option<i64>, usize) {
+        let last = self.cameras.get(&camera).and_then(|of_camera| of_camera.last);
+        (last.map(|(last_ns, _)| last_ns), camera)
+    }
+
+    /// Bytes of the budget that are kept for cameras whose turn is before that of one: they had a new view a while ago, and nothing was
+    /// left for it.
+    fn left_for_others(&self, camera: usize, stamp_ns: i64) -> f64 {
+        let own = self.turn(camera);
+        let others = self.cameras.iter().filter(|(other, _)| self.turn(**other) < own);
+        let refused = others.filter_map(|(_, of_camera)| of_camera.refused);
+        refused
+            .filter(|(refused_ns, _)| stamp_ns - refused_ns <= LONGEST_REST_NS)
+            .map(|(_, bytes)| bytes)
+            .sum()
+    }
+}
+
+impl OfCamera {
     fn is_new_view(&self, stamp_ns: i64, local_from_imu: Option<Pose>) -> bool {
         let Some((last_ns, last)) = &self.last else { return true };
         let elapsed_ns = stamp_ns - last_ns;
@@ -76,8 +121,15 @@ impl Candidates {
     }
 }
 
+/// About how many bytes a candidate takes.
+fn bytes_of(features: &FeatureSet, answer: Option<&Answer>) -> f64 {
+    let matches = answer.map_or(0, |answer| answer.matches.len());
+    let a_feature = PIXEL_BYTES + usize::from(features.descriptors.width);
+    (features.len() * a_feature + matches * MATCH_BYTES) as f64
+}
+
 /// The features that were matched and the strongest of the others, in their order.
-fn strongest(features: FeatureSet, answer: Option<Answer>) -> (FeatureSet, Option<Answer>) {
+fn strongest((features, answer): Described) -> Described {
     if features.len() <= MOST_FEATURES {
         return (features, answer);
     }

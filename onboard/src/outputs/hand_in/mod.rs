@@ -38,8 +38,6 @@ const REALTIME_QUEUE: usize = 1 << 15;
 const QUEUE: usize = 256;
 /// Said where recording ends before the run does.
 const ENDED: &str = "no more is recorded to be handed in";
-/// The camera whose features are recorded.
-const CAMERA: usize = 0;
 
 /// Records sessions. What goes wrong ends the recording, not the run.
 #[derive(Debug)]
@@ -105,15 +103,10 @@ impl Output for HandInOutput {
     }
 
     fn features(&mut self, stamp_ns: i64, camera: usize, features: &FeatureSet) {
-        if camera == CAMERA {
-            self.send(Item::Features(stamp_ns, features.clone()));
-        }
+        self.send(Item::Features(stamp_ns, camera, features.clone()));
     }
 
     fn answer(&mut self, stamp_ns: i64, camera: usize, answer: &MatchAnswer, report: Option<&MapReport>) {
-        if camera != CAMERA {
-            return;
-        }
         let MatchAnswer { status, keyframes } = answer;
         let of_keyframe = |keyframe: &protocol::MatchedKeyframe| {
             let id = keyframe.keyframe.id;
@@ -126,6 +119,7 @@ impl Output for HandInOutput {
         };
         self.send(Item::Answer(Answer {
             stamp_ns,
+            camera,
             map_identity: status.map_identity,
             map_version: status.map_version,
             inliers: report.map_or(0, |report| report.inliers as u64),

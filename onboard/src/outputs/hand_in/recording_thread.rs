@@ -18,7 +18,8 @@ pub(super) enum Item {
     Image(i64),
     Tracks(i64, Vec<TrackObservation>),
     Pose(i64, Pose),
-    Features(i64, FeatureSet),
+    /// Of an image: its time and camera, and its features.
+    Features(i64, usize, FeatureSet),
     Answer(Answer),
     Restart,
     /// What is added to the times of all other items from now on (ns).
@@ -85,7 +86,9 @@ impl RecordingThread<'_> {
             Item::Image(stamp_ns) => builder.image(of_sensors(stamp_ns)),
             Item::Tracks(stamp_ns, tracks) => builder.tracks(of_sensors(stamp_ns), tracks),
             Item::Pose(stamp_ns, local_from_imu) => builder.pose(of_sensors(stamp_ns), local_from_imu),
-            Item::Features(stamp_ns, features) => builder.features(of_sensors(stamp_ns), features),
+            Item::Features(stamp_ns, camera, features) => {
+                builder.features(of_sensors(stamp_ns), camera, features);
+            }
             Item::Answer(answer) => {
                 builder.answer(Answer { stamp_ns: of_sensors(answer.stamp_ns), ..answer });
             }

@@ -9,9 +9,9 @@ use super::identity::SessionIdentity;
 use super::tracked_points::TrackedPoints;
 use estimator::{ImuSample, TrackObservation};
 use geometry::Pose;
-use hand_in::{Answer, Chunk, SessionFrame};
+use hand_in::{Answer, Candidate, Chunk, SessionFrame};
 use protocol::FeatureSet;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// How long an image waits (ns): longer than extraction and the deadline of a query.
 const WAIT_NS: i64 = 3_500_000_000;
@@ -30,8 +30,10 @@ struct Waiting {
     stamp_ns: i64,
     tracks: Vec<TrackObservation>,
     local_from_imu: Option<Pose>,
-    features: Option<FeatureSet>,
-    answer: Option<Answer>,
+    /// Of its cameras that the map is asked about.
+    features: BTreeMap<usize, FeatureSet>,
+    /// By camera.
+    answers: BTreeMap<usize, Answer>,
 }
 
 /// A session that is recorded.
@@ -107,17 +109,17 @@ impl SessionBuilder {
         }
     }
 
-    /// The features of an image of camera 0.
-    pub(super) fn features(&mut self, stamp_ns: i64, features: FeatureSet) {
-        if let Some(image) = self.waiting_at(stamp_ns) {
-            image.features = Some(features).filter(|features| !features.is_empty());
+    /// The features of the image of a camera.
+    pub(super) fn features(&mut self, stamp_ns: i64, camera: usize, features: FeatureSet) {
+        if let Some(image) = self.waiting_at(stamp_ns).filter(|_| !features.is_empty()) {
+            image.features.insert(camera, features);
         }
     }
 
     /// What the map answered about it.
     pub(super) fn answer(&mut self, answer: Answer) {
         if let Some(image) = self.waiting_at(answer.stamp_ns) {
-            image.answer = Some(answer);
+            image.answers.insert(answer.camera, answer);
         }
     }
 
@@ -188,23 +190,28 @@ impl SessionBuilder {
     /// Decides about the image that waits longest.
     fn decide(&mut self) {
         let Some(image) = self.waiting.pop_front() else { return };
-        let Waiting { stamp_ns, tracks, local_from_imu, features, answer } = image;
+        let Waiting { stamp_ns, tracks, local_from_imu, features, mut answers } = image;
         self.identity.image(stamp_ns);
         self.budget.advance(stamp_ns);
-        let budget = &mut self.budget;
-        let candidate = features.and_then(|features| {
-            self.candidates.consider(stamp_ns, local_from_imu, (features, answer), budget)
+        let images = features.into_iter().map(|(camera, features)| {
+            let answer = answers.remove(&camera);
+            (camera, (features, answer))
         });
+        let budget = &mut self.budget;
+        let taken = self.candidates.consider(stamp_ns, local_from_imu, images.collect(), budget);
         let is_due = self.last_frame_ns.is_none_or(|last_ns| stamp_ns - last_ns >= FRAME_INTERVAL_NS);
-        if candidate.is_none() && !is_due {
+        if taken.is_empty() && !is_due {
             return;
         }
         let later = self.waiting.iter().find(|later| later.stamp_ns - stamp_ns >= FRAME_INTERVAL_NS);
         let tracks = self.points.choose(&tracks, later.map(|later| &*later.tracks));
-        let (features, answer) = candidate.unzip();
-        self.taken += features.as_ref().map_or(0, |features| features.descriptors.bytes.len());
-        self.answers.extend(answer.flatten());
-        self.frames.push(SessionFrame { stamp_ns, tracks, features });
+        let mut candidates = Vec::with_capacity(taken.len());
+        for (camera, (features, answer)) in taken {
+            self.taken += features.descriptors.bytes.len();
+            self.answers.extend(answer);
+            candidates.push(Candidate { camera, features });
+        }
+        self.frames.push(SessionFrame { stamp_ns, tracks, candidates });
         self.last_frame_ns = Some(stamp_ns);
         self.chunk_begin_ns.get_or_insert(stamp_ns);
         self.session_begin_ns.get_or_insert(stamp_ns);

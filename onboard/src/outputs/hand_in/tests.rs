@@ -8,7 +8,7 @@ use estimator::{ImuSample, TrackObservation};
 use geometry::{Camera, Distortion, Pose};
 use hand_in::{Answer, AnsweredMatch, Chunk, Header, Session};
 use map::sessions::RecordedDigest;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MapIdentity};
 use robot::Output as _;
 use sensors::{CameraSensor, ImuNoise, ImuSensor};
@@ -59,6 +59,14 @@ fn reading(at: i64) -> ImuSample {
 
 /// A drive of some images at 20 Hz: points that are seen in 40 images each, and of every tenth image features and an answer.
 fn drive(images: i64) -> Vec<Item> {
+    drive_with_cameras(images, |_| vec![0])
+}
+
+/// [`drive`] in which the map is asked about other cameras.
+///
+/// # Arguments
+/// * `asked`: the cameras that it is asked about, by the number of the image.
+fn drive_with_cameras(images: i64, asked: impl Fn(i64) -> Vec<usize>) -> Vec<Item> {
     let mut items = Vec::new();
     for image in 0..images {
         let stamp_ns = image * IMAGE_NS;
@@ -70,21 +78,25 @@ fn drive(images: i64) -> Vec<Item> {
         });
         items.push(Item::Tracks(stamp_ns, tracks.collect()));
         items.push(Item::Pose(stamp_ns, Pose::from_translation(image as f64 * 0.05)));
-        if image % 10 == 0 {
+        if image % 10 != 0 {
+            continue;
+        }
+        for camera in asked(image) {
             let features = FeatureSet {
                 pixels: (0..500).map(|at| [at as f32, 7.0]).collect(),
                 descriptors: Descriptors {
                     kind: DescriptorKind::Int8,
                     width: 64,
-                    bytes: vec![image as u8; 500 * 64],
+                    bytes: vec![(image + camera as i64) as u8; 500 * 64],
                 },
                 extractor: "test-1".to_owned(),
             };
-            items.push(Item::Features(stamp_ns, features));
+            items.push(Item::Features(stamp_ns, camera, features));
             items.push(Item::Answer(Answer {
                 stamp_ns,
+                camera,
                 map_identity: MapIdentity::from_bytes([1; 16]),
-                map_version: 1,
+                map_version: camera as u64,
                 inliers: 2,
                 used: 2,
                 accepted: true,
@@ -104,7 +116,7 @@ trait Along {
 
 impl Along for Pose {
     fn from_translation(x: f64) -> Self {
-        Self::new(nalgebra::UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0))
+        Self::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0))
     }
 }
 
@@ -173,17 +185,81 @@ fn a_minute_takes_no_more_than_its_budget_and_candidates_have_what_was_matched()
         assert!(session.candidates() > 5, "{}", session.candidates());
         assert_eq!(session.answers.len(), session.candidates());
         for answer in &session.answers {
-            let frame = session.frames.iter().find(|frame| frame.stamp_ns == answer.stamp_ns).unwrap();
-            let features = frame.features.as_ref().unwrap();
-            assert!(features.len() <= 250);
-            // The pixel says which feature it was.
-            let of_matches = answer.matches.iter().map(|found| features.pixels[found.feature as usize][0]);
-            assert_eq!(of_matches.collect::<Vec<_>>(), [3.0, 499.0]);
+            assert_has_what_was_matched(session, answer);
         }
         let intervals = session.frames.windows(2).map(|pair| pair[1].stamp_ns - pair[0].stamp_ns);
         assert!(intervals.max().unwrap() <= 300_000_000);
         let long = session.frames.iter().map(|frame| frame.tracks.len()).max().unwrap();
         assert!(long > 40 && long <= 80, "{long}");
+    }
+}
+
+/// An answer names features of the candidate that it is about.
+fn assert_has_what_was_matched(session: &Session, answer: &Answer) {
+    let frame = session.frames.iter().find(|frame| frame.stamp_ns == answer.stamp_ns).unwrap();
+    let candidate = frame.candidates.iter().find(|candidate| candidate.camera == answer.camera).unwrap();
+    let features = &candidate.features;
+    assert!(features.len() <= 250);
+    // The pixel says which feature it was.
+    let of_matches = answer.matches.iter().map(|found| features.pixels[found.feature as usize][0]);
+    assert_eq!(of_matches.collect::<Vec<_>>(), [3.0, 499.0]);
+}
+
+/// Settings of a robot with a camera that looks ahead, a stereo pair to the left and a camera that looks back.
+fn surround_settings(folder: &Path, bytes_per_minute: f64) -> HandInSettings {
+    let mut settings = settings(folder, bytes_per_minute, LONG);
+    let first = settings.header.cameras[0].clone();
+    let turned = |angle: f64| {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);
+        CameraSensor { imu_from_camera: Pose::new(rotation, Vector3::zeros()), ..first.clone() }
+    };
+    settings.header.cameras = [0.0, 1.6, 1.6, 3.1].map(turned).to_vec();
+    settings
+}
+
+#[test]
+fn every_camera_that_the_map_is_asked_about_has_candidates_within_one_budget() {
+    // In turn, all at once, and one of them more often.
+    let in_turn = |image: i64| vec![[0, 1, 3][(image / 10 % 3) as usize]];
+    let at_once = |_: i64| vec![0, 1, 3];
+    let mostly_ahead = |image: i64| vec![[0, 1, 0, 3][(image / 10 % 4) as usize]];
+    let drives: [&dyn Fn(i64) -> Vec<usize>; 3] = [&in_turn, &at_once, &mostly_ahead];
+    for asked in drives {
+        for bytes_per_minute in [4e5, 9e5] {
+            let folder = tempfile::tempdir().unwrap();
+            let of_robot = surround_settings(folder.path(), bytes_per_minute);
+            let sessions = recorded(&of_robot, drive_with_cameras(2400, asked));
+            let session = &sessions[0];
+            let of_minute = session.whole_bytes as f64 / session.seconds() * 60.0;
+            assert!(of_minute < bytes_per_minute * 1.05, "{of_minute} of {bytes_per_minute}");
+            assert_eq!(session.answers.len(), session.candidates());
+            for answer in &session.answers {
+                assert_has_what_was_matched(session, answer);
+                assert_eq!(answer.map_version, answer.camera as u64);
+            }
+            let of_camera =
+                |camera: usize| session.answers.iter().filter(|answer| answer.camera == camera).count();
+            let [ahead, left, behind] = [0, 1, 3].map(of_camera);
+            assert_eq!(ahead + left + behind, session.candidates());
+            let (most, least) = (ahead.max(left).max(behind), ahead.min(left).min(behind));
+            // One that is asked about twice as often may have twice as many where there is room for all.
+            assert!(least >= 3 && most <= 2 * least + 1, "{ahead}, {left}, {behind}");
+        }
+    }
+}
+
+/// Also where there are bytes for every second image, and the map is asked about two cameras in turn.
+#[test]
+fn cameras_take_turns_where_the_budget_is_too_small_for_all() {
+    let in_turn = |image: i64| vec![[0, 3][(image / 10 % 2) as usize]];
+    for bytes_per_minute in [4e5, 8e5, 1.1e6, 1.2e6, 1.3e6] {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = surround_settings(folder.path(), bytes_per_minute);
+        let sessions = recorded(&settings, drive_with_cameras(2400, in_turn));
+        let answers = || sessions.iter().flat_map(|session| &session.answers);
+        let [ahead, behind] = [0, 3].map(|camera| answers().filter(|answer| answer.camera == camera).count());
+        assert!(ahead.abs_diff(behind) <= 2, "{ahead} and {behind} with {bytes_per_minute} bytes a minute");
+        assert!(ahead + behind < 230, "there is room for all");
     }
 }
 
