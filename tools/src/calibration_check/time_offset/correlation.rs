@@ -73,7 +73,9 @@ impl RatePairs {
 
 fn centred(mut series: Vec<Vector3<f64>>) -> Vec<Vector3<f64>> {
     let mean = series.iter().sum::<Vector3<f64>>() / series.len() as f64;
-    series.iter_mut().for_each(|value| *value -= mean);
+    for value in &mut series {
+        *value -= mean;
+    }
     series
 }
 
