@@ -56,17 +56,17 @@ pub(super) fn triangulate(
     else {
         return (None, Vec::new());
     };
-    let start = InverseDepthLandmark { anchor, ray, inverse_depth: 1.0, observations, prior: None };
-    let (landmark, _) = (0..GRID_SIZE)
-        .map(|index| {
-            let fraction = index as f64 / (GRID_SIZE - 1) as f64;
-            let depth = GRID_MIN_DEPTH * (MAX_DEPTH / GRID_MIN_DEPTH).powf(fraction);
-            let landmark = InverseDepthLandmark { inverse_depth: depth.recip(), ..start.clone() };
-            let cost: f64 = distances(scene, &landmark).iter().map(|distance| distance.min(GATE)).sum();
-            (landmark, cost)
-        })
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .unwrap_or((start, 0.0));
+    let mut landmark = InverseDepthLandmark { anchor, ray, inverse_depth: 1.0, observations, prior: None };
+    let (mut best, mut least_cost) = (1.0, f64::INFINITY);
+    for index in 0..GRID_SIZE {
+        let fraction = index as f64 / (GRID_SIZE - 1) as f64;
+        let depth = GRID_MIN_DEPTH * (MAX_DEPTH / GRID_MIN_DEPTH).powf(fraction);
+        landmark.inverse_depth = depth.recip();
+        if let Some(cost) = cost_below(scene, &landmark, least_cost) {
+            (best, least_cost) = (landmark.inverse_depth, cost);
+        }
+    }
+    landmark.inverse_depth = best;
     let landmark = refine(scene, landmark);
     let keep: Vec<bool> = distances(scene, &landmark).iter().map(|&distance| distance <= GATE).collect();
     let is_dropped = |(observation, keep): &(&LandmarkObservation, &bool)| !**keep && !observation.is_second;
@@ -78,15 +78,21 @@ pub(super) fn triangulate(
     }
 }
 
+/// Sum of the squared distances of all observations, each truncated; `None` where it is not below a limit.
+fn cost_below(scene: &Scene<'_>, landmark: &InverseDepthLandmark, limit: f64) -> Option<f64> {
+    let mut cost = 0.0;
+    for index in 0..landmark.observations.len() {
+        cost += scene.distance(landmark, index).min(GATE);
+        if cost >= limit {
+            return None;
+        }
+    }
+    Some(cost)
+}
+
 /// Squared distance of each observation from its prediction, in sigmas; infinite where it is not visible.
 fn distances(scene: &Scene<'_>, landmark: &InverseDepthLandmark) -> Vec<f64> {
-    let distance = |(index, observation): (usize, &LandmarkObservation)| {
-        scene.weight(landmark, index).map_or(f64::INFINITY, |(prediction, weight)| {
-            let residual = observation.pixel - prediction.pixel;
-            residual.dot(&(weight * residual))
-        })
-    };
-    landmark.observations.iter().enumerate().map(distance).collect()
+    (0..landmark.observations.len()).map(|index| scene.distance(landmark, index)).collect()
 }
 
 impl Scene<'_> {
@@ -95,6 +101,14 @@ impl Scene<'_> {
         let of_feature =
             |&(view, feature): &FeatureId| self.rig.observations((view, feature), &self.views[view]);
         track.iter().flat_map(of_feature).collect()
+    }
+
+    /// Squared distance of an observation from its prediction, in sigmas; infinite where it is not visible.
+    fn distance(&self, landmark: &InverseDepthLandmark, index: usize) -> f64 {
+        self.weight(landmark, index).map_or(f64::INFINITY, |(prediction, weight)| {
+            let residual = landmark.observations[index].pixel - prediction.pixel;
+            residual.dot(&(weight * residual))
+        })
     }
 
     /// Prediction of a landmark in a view, and the inverse of its covariance from the pixel and both poses (2x2):

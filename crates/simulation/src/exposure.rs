@@ -29,9 +29,14 @@ impl<'a> Exposure<'a> {
         Self { world_from_imu: trajectory.at(stamp_ns).pose, moving: Some((trajectory, stamp_ns)) }
     }
 
+    /// Where the camera is at the time of the image.
+    pub(crate) fn camera_from_world(&self, sensor: &CameraSensor) -> Pose {
+        self.world_from_imu.compose(&sensor.imu_from_camera).inverse()
+    }
+
     /// A landmark in the camera's frame at the time of the image, metres.
-    pub(crate) fn in_camera(&self, sensor: &CameraSensor, landmark: &Vector3<f64>) -> Vector3<f64> {
-        self.world_from_imu.compose(&sensor.imu_from_camera).inverse().transform(landmark)
+    fn in_camera(&self, sensor: &CameraSensor, landmark: &Vector3<f64>) -> Vector3<f64> {
+        self.camera_from_world(sensor).transform(landmark)
     }
 
     /// The pixel of a landmark, if it is in the image.

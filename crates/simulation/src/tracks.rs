@@ -105,11 +105,13 @@ pub(crate) fn visible(
     landmarks: &[Landmark],
 ) -> Vec<(usize, Vector2<f64>)> {
     let [near, far] = options.sight_m;
+    // Most landmarks of a world are out of sight.
+    let camera_from_world = exposure.camera_from_world(sensor);
     landmarks
         .iter()
         .enumerate()
         .filter_map(|(index, landmark)| {
-            let point = exposure.in_camera(sensor, &landmark.position);
+            let point = camera_from_world.transform(&landmark.position);
             let is_in_range = point.z >= near && point.norm_squared() <= far * far;
             let pixel = is_in_range.then(|| exposure.project(sensor, &landmark.position)).flatten();
             pixel.map(|pixel| (index, pixel))
