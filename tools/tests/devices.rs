@@ -14,7 +14,7 @@ use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, encode};
 use sensors::ros::{camera_info_message, transform_message};
 use sensors::ros_bag::{RosBagWriter, message_type};
-use sensors::{ImuSample, Sequence};
+use sensors::{Frame, ImuSample, Sequence};
 use simulation::SimulationOptions;
 use simulation::images::{ImageOptions, render_all, simulate_images};
 use std::fs;
@@ -24,7 +24,7 @@ use std::sync::LazyLock;
 use vision::GrayImage;
 
 /// How long the bags are, seconds, and their images a second.
-const SECONDS: f64 = 4.0;
+const SECONDS: f64 = 3.0;
 const RATE_HZ: f64 = 15.0;
 /// Images are late by so much where nobody triggers the camera: `timeshift_cam_imu` of the page.
 const LATE_NS: i64 = 12_000_000;
@@ -44,22 +44,40 @@ fn rectified() -> Camera {
     Camera { width: 320, height: 240, focal, centre, distortion }
 }
 
-/// What a rectified camera sees, of a distorted image.
-fn rectify(image: &GrayImage, distorted: &Camera) -> GrayImage {
+/// The images of the flight as a rectified pair sees them: those of all bags.
+static RECTIFIED: LazyLock<Vec<[GrayImage; 2]>> = LazyLock::new(|| {
+    let flight = &*FLIGHT;
+    let sources = [0, 1].map(|camera| sources(&flight.cameras[camera].camera));
+    let rectified = |frame: &Frame| {
+        [0, 1].map(|camera| rectify(&frame.images[&camera].read().unwrap(), &sources[camera]))
+    };
+    flight.frames.iter().map(rectified).collect()
+});
+
+/// Where a pixel lies in another image: column and row of the pixel before it, and how far beyond that it is.
+type Source = ([usize; 2], [f64; 2]);
+
+/// Where a rectified camera looks in a distorted image, pixel after pixel; `None` outside of it.
+fn sources(distorted: &Camera) -> Vec<Option<Source>> {
     let target = rectified();
-    let sample = |x: usize, y: usize| -> Option<u8> {
+    let source = |x: usize, y: usize| {
         let ray = target.bearing(&Vector2::new(x as f64, y as f64)).ok()?;
         let pixel = distorted.project(&ray).ok()?;
         let (left, top) = (pixel.x.floor(), pixel.y.floor());
         let is_inside = left >= 0.0 && top >= 0.0 && left < 751.0 && top < 479.0;
-        let (u, v) = (pixel.x - left, pixel.y - top);
-        let at = |dx: usize, dy: usize| f64::from(image.get(left as usize + dx, top as usize + dy));
-        is_inside.then(|| {
-            let (upper, lower) = (at(0, 0) * (1.0 - u) + at(1, 0) * u, at(0, 1) * (1.0 - u) + at(1, 1) * u);
-            (upper * (1.0 - v) + lower * v).round() as u8
-        })
+        is_inside.then(|| ([left as usize, top as usize], [pixel.x - left, pixel.y - top]))
     };
-    GrayImage::from_fn(320, 240, |x, y| sample(x, y).unwrap_or_default())
+    (0..240).flat_map(|y| (0..320).map(move |x| source(x, y))).collect()
+}
+
+/// What a rectified camera sees, of a distorted image.
+fn rectify(image: &GrayImage, sources: &[Option<Source>]) -> GrayImage {
+    let sample = |([left, top], [u, v]): Source| {
+        let at = |dx: usize, dy: usize| f64::from(image.get(left + dx, top + dy));
+        let (upper, lower) = (at(0, 0) * (1.0 - u) + at(1, 0) * u, at(0, 1) * (1.0 - u) + at(1, 1) * u);
+        (upper * (1.0 - v) + lower * v).round() as u8
+    };
+    GrayImage::from_fn(320, 240, |x, y| sources[320 * y + x].map(sample).unwrap_or_default())
 }
 
 /// The messages of an IMU.
@@ -215,10 +233,9 @@ impl StereoDriver {
                 }
             }
         }
-        for frame in &flight.frames {
+        for (frame, rectified_pair) in flight.frames.iter().zip(&*RECTIFIED) {
             for (camera, (topic, name)) in self.cameras.iter().enumerate() {
-                let seen = frame.images[&camera].read().unwrap();
-                let seen = rectify(&seen, &flight.cameras[camera].camera);
+                let seen = &rectified_pair[camera];
                 let header = Header::new(frame.stamp_ns, name).unwrap();
                 let mut info = camera_info_message(&rectified(), header.clone());
                 if self.states_lens {

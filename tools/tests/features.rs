@@ -2,15 +2,35 @@
 
 use std::path::Path;
 
+use sensors::writer;
+use simulation::SimulationOptions;
+use simulation::images::{ImageOptions, simulate_images, write_images};
+
 use crate::program::{complaint_of, json_of, text};
+
+/// Two flights through a room, at half of the usual rate, and the first of them at a sixth: a map takes few of its images.
+fn write_flights(map: &Path, live: &Path) {
+    let options =
+        SimulationOptions { duration_s: Some(6.0), frame_rate_hz: 10.0, ..ImageOptions::simulation() };
+    let mut flights = simulate_images(&options, &ImageOptions::default()).unwrap();
+    let mut count = 0;
+    flights.map.frames.retain(|_| {
+        count += 1;
+        count % 3 == 0
+    });
+    for (sequence, folder) in [(&flights.map, map), (&flights.live, live)] {
+        writer::write(sequence, folder).unwrap();
+        write_images(sequence, folder, |_, _| {}).unwrap();
+    }
+}
 
 #[test]
 fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_localized() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let (room, both, plain) = (path("room"), path("both.db"), path("plain.db"));
-    json_of(&["simulate", "--images", "--duration", "6", "--out", text(&room)]);
-    let recording = room.join("map");
+    let (recording, live) = (path("map"), path("live"));
+    let (both, plain) = (path("both.db"), path("plain.db"));
+    write_flights(&recording, &live);
     let few = ["--max-features", "400"];
     let map = ["build-map", text(&recording), "--map", text(&both), "--keep-images=85"];
     let sparse = ["--min-distance", "0.4", "--min-rotation", "15"];
@@ -44,7 +64,6 @@ fn features_are_added_to_a_map_that_keeps_images_and_robots_of_either_kind_are_l
     let refused = complaint_of(&["add-features", "--map", text(&both), "--features", "edgepoint2"]);
     assert!(refused.contains("--force"), "{refused}");
 
-    let live = room.join("live");
     for extractor in ["sift-1", "edgepoint2-1"] {
         let out = path(extractor);
         let robot = json_of(&[

@@ -37,7 +37,7 @@ fn summary(scratch: &Scratch, switches: &str, out: &str) -> serde_json::Value {
 #[test]
 fn positions_in_a_folder_localize_a_run_without_a_map() {
     let scratch = Scratch::new();
-    scratch.run("simulate --out town --seed 5 --duration 60");
+    scratch.run("simulate --out town --seed 5 --duration 45");
     let truth = scratch.path("town/live/mav0/state_groundtruth_estimate0/data.csv");
     let positions = positions(&std::fs::read_to_string(truth).unwrap());
     let gnss = scratch.path("town/live/mav0/gnss0");
@@ -84,6 +84,6 @@ fn positions_in_a_folder_localize_a_run_without_a_map() {
     let degrees = summary(&scratch, "", "degrees");
     assert_eq!(degrees["gnss"]["initializations"], 1);
 
-    let without = summary(&scratch, "--no-gnss", "without");
+    let without = summary(&scratch, "--no-gnss --duration 5", "without");
     assert!(without["gnss"].is_null() && without["score"]["pose"].is_null());
 }

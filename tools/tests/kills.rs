@@ -12,11 +12,20 @@ use testing::copy_folder;
 use crate::scratch::{Scratch, ids, in_town, place, rounds, town};
 
 /// Kills a command again and again; `check` is called after each kill.
-fn kill(scratch: &Scratch, line: &str, seed: u64, mut prepare: impl FnMut(), mut check: impl FnMut()) {
+///
+/// # Arguments
+/// * `kills`: how often, where `KILLS` does not say it.
+fn kill(
+    scratch: &Scratch,
+    line: &str,
+    (kills, seed): (usize, u64),
+    mut prepare: impl FnMut(),
+    mut check: impl FnMut(),
+) {
     let mut rng = StdRng::seed_from_u64(seed);
     prepare();
     let mut whole = scratch.run(line);
-    for kill in 0..rounds(6) {
+    for kill in 0..rounds(kills) {
         prepare();
         // Half of them at any time, half in the last 50 ms.
         let begin =
@@ -36,7 +45,7 @@ fn kill(scratch: &Scratch, line: &str, seed: u64, mut prepare: impl FnMut(), mut
 }
 
 /// Kills a command that changes `hall.db`: what was there before stays, or what the command makes.
-fn kill_a_change(scratch: &Scratch, line: &str, seed: u64, mut restore: impl FnMut()) {
+fn kill_a_change(scratch: &Scratch, line: &str, how: (usize, u64), mut restore: impl FnMut()) {
     let hall = scratch.path("hall.db");
     restore();
     let old = ids(&hall);
@@ -44,7 +53,7 @@ fn kill_a_change(scratch: &Scratch, line: &str, seed: u64, mut restore: impl FnM
     let new = ids(&hall);
     assert_ne!(old, new);
     let mut met = [0, 0];
-    kill(scratch, line, seed, restore, || {
+    kill(scratch, line, how, restore, || {
         let found = ids(&hall);
         let is_new = found == new;
         assert!(is_new || found == old, "{line}: {found:?}");
@@ -64,30 +73,50 @@ fn a_killed_edit_or_import_leaves_the_old_map_or_the_new_one() {
         let _ = std::fs::remove_dir_all(&hall);
         save_map(&hall, &place(1), false).unwrap();
     };
-    kill_a_change(&scratch, &format!("edit-map --map hall.db --remove {first}"), 1, restore);
-    kill_a_change(&scratch, "import-map text --map hall.db --force", 2, restore);
+    kill_a_change(&scratch, &format!("edit-map --map hall.db --remove {first}"), (6, 1), restore);
+    kill_a_change(&scratch, "import-map text --map hall.db --force", (6, 2), restore);
 }
 
 #[test]
 fn a_killed_merge_leaves_the_old_map_or_the_new_one() {
     let scratch = in_town();
     let restore = || scratch.copy_map(&town().join("hall.db"), "hall.db");
-    kill_a_change(&scratch, "merge-maps hall.db second.db --map hall.db --force", 4, restore);
+    kill_a_change(&scratch, "merge-maps hall.db second.db --map hall.db --force", (6, 4), restore);
 }
 
 #[test]
 fn a_killed_extension_leaves_the_old_map_or_the_new_one() {
+    kill_extensions(4);
+}
+
+#[test]
+#[ignore = "more kills"]
+fn a_killed_extension_leaves_the_old_map_or_the_new_one_again_and_again() {
+    kill_extensions(20);
+}
+
+fn kill_extensions(kills: usize) {
     let scratch = in_town();
     let restore = || scratch.copy_map(&town().join("hall.db"), "hall.db");
-    kill_a_change(&scratch, "build-map town/live --map hall.db --extend", 5, restore);
+    kill_a_change(&scratch, "build-map town/live --map hall.db --extend", (kills, 5), restore);
 }
 
 #[test]
 fn a_killed_night_leaves_the_old_map_or_the_new_one_and_a_true_ledger() {
+    kill_nights(4);
+}
+
+#[test]
+#[ignore = "more kills"]
+fn a_killed_night_leaves_the_old_map_or_the_new_one_and_a_true_ledger_again_and_again() {
+    kill_nights(20);
+}
+
+fn kill_nights(kills: usize) {
     let scratch = in_town();
     scratch.run("run town/live --map hall.db --out run --hand-in recorded");
     let restore = || scratch.copy_map(&town().join("hall.db"), "hall.db");
-    kill_a_change(&scratch, "maintain --map hall.db --inbox recorded", 7, restore);
+    kill_a_change(&scratch, "maintain --map hall.db --inbox recorded", (kills, 7), restore);
     scratch.run("map-info --map hall.db --audit");
 }
 
@@ -100,7 +129,7 @@ fn a_killed_publication_is_a_release_or_none() {
     let restore = || {
         let _ = std::fs::remove_dir_all(&released);
     };
-    kill(&scratch, "publish-map --map whole.db --to city", 3, restore, || {
+    kill(&scratch, "publish-map --map whole.db --to city", (6, 3), restore, || {
         if released.join("releases").is_dir() {
             scratch.start("list-releases city").wait().unwrap();
         }
@@ -123,7 +152,7 @@ fn a_killed_promotion_leaves_the_live_release_or_the_candidate_and_is_ended_by_a
         let _ = std::fs::remove_dir_all(scratch.path("city"));
         copy_folder(&scratch.path("before"), &scratch.path("city"));
     };
-    kill(&scratch, "promote-release city 1", 6, restore, || {
+    kill(&scratch, "promote-release city 1", (6, 6), restore, || {
         scratch.run("list-releases city");
         scratch.run("checkout city --map now.db --force");
         let found = ids(&scratch.path("now.db"));

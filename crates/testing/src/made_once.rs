@@ -26,18 +26,20 @@ pub fn made_once(name: &str, programs: &[&Path], make: impl FnOnce(&Path)) -> Pa
         return made;
     }
     fs::create_dir_all(&all).unwrap();
+    // Others that need it meanwhile wait for it.
+    let lock = fs::File::create(all.join(format!("{of_any_build}lock"))).unwrap();
+    lock.lock().unwrap();
+    if made.exists() {
+        return made;
+    }
     for entry in fs::read_dir(&all).unwrap().flatten() {
-        if entry.file_name().to_string_lossy().starts_with(&of_any_build) {
+        if entry.file_name().to_string_lossy().starts_with(&of_any_build) && entry.path().is_dir() {
             let _ = fs::remove_dir_all(entry.path());
         }
     }
     let part = all.join(format!("part-{}-{name}", std::process::id()));
     fs::create_dir_all(&part).unwrap();
     make(&part);
-    // Another test may have been faster.
-    if fs::rename(&part, &made).is_err() {
-        assert!(made.exists(), "{} cannot be made", made.display());
-        fs::remove_dir_all(&part).unwrap();
-    }
+    fs::rename(&part, &made).unwrap();
     made
 }
