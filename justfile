@@ -92,6 +92,7 @@ pyright:
 
 # Every test there is, those that take minutes too, except measurements and those that need something that is not here
 nightly: ci clippy-slim pyright
+    FUZZ_SECONDS=10 cargo test --release --locked -p driftless-fuzz --test short_run
     cargo test --release --workspace --locked -- --ignored --skip load:: --skip latency --skip python --skip published --skip images::learned --skip object_store
 
 # Every crate that is published could be

@@ -22,7 +22,7 @@ const LONGEST: Duration = Duration::from_secs(10);
 
 /// How long each target runs; its seeds are always tried.
 fn time_of_a_target() -> Duration {
-    let given = std::env::var("FUZZ_SECONDS").map_or(3.0, |text| text.parse().unwrap());
+    let given = std::env::var("FUZZ_SECONDS").map_or(1.0, |text| text.parse().unwrap());
     Duration::from_secs_f64(given)
 }
 

@@ -21,6 +21,7 @@ fn scenario() -> &'static MappedScenario {
             seed: 3,
             scenario: Scenario::Loops,
             speed: 2.0,
+            max_tracks: 60,
             duration_s: Some(60.0),
             live_feature_period_s: 0.5,
             ..SimulationOptions::default()

@@ -219,11 +219,12 @@ fn assert_unharmed(quiet: &Outcome, robots: &[Outcome], ratio: f64, nees: f64) {
 fn robots_drive_on_while_the_network_fails() {
     let scenario = MappedScenario::of(&SimulationOptions {
         seed: 3,
+        max_tracks: 50,
         duration_s: Some(60.0),
         ..SimulationOptions::default()
     });
     let (live, map) = (&scenario.recordings.live, scenario.loaded());
-    let robots = through_chaos(live, &map, 3, 1);
+    let robots = through_chaos(live, &map, 2, 1);
     // A minute, of which an outage takes a larger part than of a long drive.
     assert_unharmed(&undisturbed(live, &map), &robots, 3.0, 2.0);
 }

@@ -117,7 +117,7 @@ fn a_robot_with_permuted_tracks_ends_and_reports_why_it_never_started() {
     assert!(outcome.states().unwrap().is_empty());
 
     // From truth it starts, diverges, and does not loop.
-    let switches = arguments(folder.path(), "--mode odometry --init truth --start-at 9 --duration 12");
+    let switches = arguments(folder.path(), "--mode odometry --init truth --start-at 9 --duration 8");
     let outcome = run_robot(&live, &switches, None, |_| {}).unwrap();
     assert_eq!((outcome.summary.divergences.len(), outcome.summary.starts.len()), (1, 1));
     let status = outcome.summary.final_status.unwrap();

@@ -47,6 +47,8 @@ fn child_that_writes() {
 #[test]
 fn a_killed_first_import_is_no_map_and_a_killed_replacement_changes_nothing() {
     let directory = tempfile::tempdir().unwrap();
+    let places = [1, 2, 3].map(place);
+    let place = |seed: usize| &places[seed - 1];
     let (mut unfinished, mut intact) = (0, 0);
     for step in 0..30_u64 {
         // A map is written in some milliseconds.
@@ -54,7 +56,7 @@ fn a_killed_first_import_is_no_map_and_a_killed_replacement_changes_nothing() {
         for replace in [false, true] {
             let path = directory.path().join(format!("{step}-{replace}"));
             if replace {
-                store::save_map(&path, &place(1), false).unwrap();
+                store::save_map(&path, place(1), false).unwrap();
             }
             let mut writer =
                 child("", &path, 2).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
@@ -87,7 +89,7 @@ fn a_killed_first_import_is_no_map_and_a_killed_replacement_changes_nothing() {
                 }
             }
             // Made anew without being asked to replace anything, where there was no map.
-            let next = store::save_map(&path, &place(3), path.join("manifest.json").exists());
+            let next = store::save_map(&path, place(3), path.join("manifest.json").exists());
             assert_eq!(read(&path).info.version, next.unwrap().version);
         }
     }

@@ -51,13 +51,23 @@ fn shows(place: &Place, from: &Pose, points: &[(Vector3<f64>, Vec<u8>)], pixel: 
 
 #[test]
 fn one_picture_of_a_place_is_ambiguous_however_many_matches_it_has_and_its_odds_are_listed() {
+    one_picture_is_ambiguous(8);
+}
+
+#[test]
+#[ignore = "more images"]
+fn one_picture_of_a_place_is_ambiguous_in_twenty_images() {
+    one_picture_is_ambiguous(20);
+}
+
+fn one_picture_is_ambiguous(images: usize) {
     let landmarks = 6000;
     let options = PlaceOptions { keyframes: 12, landmarks, posters: 8, ..PlaceOptions::default() };
     let place = Place::new(&options);
     let map = LoadedMap::from_contents(place.map.clone()).unwrap();
     let mut rng = StdRng::seed_from_u64(31);
     let (mut seen, mut two_were_claimed) = (0, 0);
-    for trial in 0..20 {
+    for trial in 0..images {
         // Poster `at` begins at four times its number along the path; the camera is some metres before it.
         let at = 2 + trial % 4;
         let truth =
@@ -81,16 +91,26 @@ fn one_picture_of_a_place_is_ambiguous_however_many_matches_it_has_and_its_odds_
         }
         two_were_claimed += usize::from(localize(2).0.fix.is_some());
     }
-    assert!(seen >= 18 && two_were_claimed >= 10, "{seen}, {two_were_claimed}");
+    assert!(10 * seen >= 9 * images && 2 * two_were_claimed >= images, "{seen}, {two_were_claimed}");
 }
 
 #[test]
 fn a_place_of_which_half_has_changed_is_still_found() {
+    half_of_a_place_is_found(10);
+}
+
+#[test]
+#[ignore = "more images"]
+fn a_place_of_which_half_has_changed_is_still_found_in_twenty_images() {
+    half_of_a_place_is_found(20);
+}
+
+fn half_of_a_place_is_found(images: usize) {
     let place = dense_place();
     let map = LoadedMap::from_contents(place.map.clone()).unwrap();
     let mut rng = StdRng::seed_from_u64(32);
     let mut found = 0;
-    for _ in 0..20 {
+    for _ in 0..images {
         let truth = pose(&place, &mut rng);
         // Chequered, in squares of 80 px.
         let remains = |pixel: [f32; 2]| ((pixel[0] / 80.0) as i32 + (pixel[1] / 80.0) as i32) % 2 == 0;
@@ -101,7 +121,7 @@ fn a_place_of_which_half_has_changed_is_still_found() {
         assert!(truth.local(&fix.global_from_camera.pose).fixed_rows::<3>(3).norm() < 0.3);
         assert!(report.hypotheses[0].log_odds() > 0.0);
     }
-    assert!(found >= 18, "{found}");
+    assert!(10 * found >= 9 * images, "{found}");
 }
 
 #[test]

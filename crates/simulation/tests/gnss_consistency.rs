@@ -151,12 +151,22 @@ fn positions_alone_localize_after_some_way_with_all_seeds() {
 /// Reflections of 6 m for 8 s, and of 20 m for one reading: they are rejected, and cost nothing.
 #[test]
 fn jumps_are_gated() {
+    jumps_of_runs_are_gated(2);
+}
+
+#[test]
+#[ignore = "all seeds"]
+fn jumps_are_gated_with_all_seeds() {
+    jumps_of_runs_are_gated(3);
+}
+
+fn jumps_of_runs_are_gated(count: usize) {
     let mut gnss = corrected();
     let with = [variant(MapMode::Multi, Some(gnss.antenna))];
-    let clean = runs(3, 50.0, Tracks::Few, &gnss, &with);
+    let clean = runs(count, 50.0, Tracks::Few, &gnss, &with);
     let jump = |from_s: f64, to_s: f64, offset_m| GnssJump { span_s: from_s..to_s, offset_m };
     gnss.jumps = vec![jump(24.5, 32.5, [4.0, -4.0, 2.0]), jump(40.5, 41.5, [0.0, 20.0, 0.0])];
-    let jumping = runs(3, 50.0, Tracks::Few, &gnss, &with);
+    let jumping = runs(count, 50.0, Tracks::Few, &gnss, &with);
     clean.iter().chain(&jumping).for_each(none_diverged);
     for (clean, jumping) in clean[0].trials.iter().zip(&jumping[0].trials) {
         let counts = jumping.gnss.unwrap();
@@ -171,10 +181,20 @@ fn jumps_are_gated() {
 /// A constant offset of 30 m from 15 s on: GNSS is left out and named, and the state stays.
 #[test]
 fn positions_of_another_place_are_left_out_and_named() {
+    another_place_is_left_out(2);
+}
+
+#[test]
+#[ignore = "all seeds"]
+fn positions_of_another_place_are_left_out_and_named_with_all_seeds() {
+    another_place_is_left_out(3);
+}
+
+fn another_place_is_left_out(count: usize) {
     let mut gnss = corrected();
     gnss.jumps = vec![GnssJump { span_s: 15.0..1e9, offset_m: [30.0, 0.0, 0.0] }];
     let variants = [variant(MapMode::Multi, None), variant(MapMode::Multi, Some(gnss.antenna))];
-    let all = runs(3, 50.0, Tracks::Few, &gnss, &variants);
+    let all = runs(count, 50.0, Tracks::Few, &gnss, &variants);
     all.iter().for_each(none_diverged);
     for (without, with) in all[0].trials.iter().zip(&all[1].trials) {
         let [alone, misled] = [without, with].map(|trial| rms_in_global_m(trial, 12.0));

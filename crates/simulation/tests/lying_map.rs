@@ -94,7 +94,7 @@ fn lies_are_doubted_with_all_seeds() {
 
 #[test]
 fn an_honest_map_raises_no_alarm() {
-    honest_maps(3, Tracks::Few);
+    honest_maps(2, Tracks::Few);
 }
 
 #[test]

@@ -50,7 +50,7 @@ fn is_consistent(pose: &OutputScore) {
 
 #[test]
 fn nees_in_g_is_as_stated_behind_a_change_that_is_stated_and_above_it_without() {
-    is_as_stated_behind_a_change(6, Tracks::Few);
+    is_as_stated_behind_a_change(4, Tracks::Few);
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn is_as_stated_behind_a_change(runs: usize, tracks: Tracks) {
 #[test]
 fn robots_in_a_corner_that_moved_and_outside_of_it_are_as_uncertain_as_they_err() {
     behind_a_moved_corner(
-        4,
+        3,
         Tracks::Few,
         &[(MovedPart::Within(25.0), false), (MovedPart::Beyond(25.0), false)],
     );

@@ -11,7 +11,7 @@ use simulation::{Scenario, SimulationOptions};
 use crate::Tracks;
 
 /// Number of runs: enough for a useful chi-square interval. The nightly ones have [`ALL_RUNS`].
-const RUNS: usize = 6;
+const RUNS: usize = 5;
 const ALL_RUNS: usize = 20;
 
 /// Hand-held in a room, from rest: rotation about and acceleration along every axis.
@@ -78,7 +78,7 @@ fn odometry_is_as_stated(count: usize, tracks: Tracks) {
 
 #[test]
 fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
-    wrong_calibrations_are_found(3);
+    wrong_calibrations_are_found(2);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use estimator::EstimatorConfig;
 use simulation::monte_carlo::{AnswerOptions, Disturbance, DisturbedState, MonteCarloOptions, Variant, run};
 
 /// Of each failure with one and with two cameras, in every run of the tests, and in the nightly one.
-const SEEDS: usize = 2;
+const SEEDS: usize = 1;
 const ALL_SEEDS: usize = 10;
 
 /// The failures, each of as many seeds with one and with two cameras.
@@ -95,8 +95,8 @@ fn rescued(runs: usize) {
         }
     }
     assert!(never.is_empty(), "{} of {all} not within six answers: {never:?}", never.len());
-    // One in a hundred, and one of few.
-    let few = (all / 100).max(1);
+    // One in a hundred, and none of a few.
+    let few = all / 100;
     assert!(late.len() <= few, "{} of {all} not within five answers: {late:?}", late.len());
     assert!(trusted.len() <= few, "wrong for 3 s while localized: {trusted:?}");
 }

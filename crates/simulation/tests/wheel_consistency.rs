@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Seeds of every run, and of the nightly one.
-const RUNS: usize = 4;
+const RUNS: usize = 3;
 const ALL_RUNS: usize = 20;
 /// Fastest motion to a side of a base that can: a robot in a hall mostly drives ahead.
 const SIDEWAYS_M_S: f64 = 0.3;

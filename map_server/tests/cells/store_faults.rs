@@ -36,7 +36,7 @@ impl Asking {
                     city.match_image(request, Instant::now() + Duration::from_secs(1)).await.unwrap();
                 assert_eq!(answer.status.outcome, MatchOutcome::Matched);
                 answered += 1;
-                tokio::time::sleep(Duration::from_millis(10)).await;
+                tokio::time::sleep(Duration::from_millis(50)).await;
             }
             answered
         });

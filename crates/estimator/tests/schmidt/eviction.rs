@@ -10,6 +10,8 @@ use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const KEYFRAMES: u64 = 48;
 const STEPS: usize = 400;
+/// Steps after which the law is known to have power.
+const NAIVE_STEPS: usize = 150;
 const ROWS: usize = 10;
 const MAX_ACTIVE: usize = 6;
 const MAX_HELD: usize = 20;
@@ -41,7 +43,8 @@ fn run(seed: u64, correlation: Correlation, eviction: Eviction) -> Outcome {
     let map = Map::new(&mut rng, KEYFRAMES, 0.1, correlation);
     let mut truth = DenseFilter::new(&start, &map);
     let mut outcome = Outcome { worst: f64::INFINITY, evicted: 0, excess: 0.0 };
-    for _ in 0..STEPS {
+    let steps = if eviction == Eviction::Naive { NAIVE_STEPS } else { STEPS };
+    for _ in 0..steps {
         truth.random_step(&mut rng, &mut joint);
         let ids = some_keyframes(&mut rng, KEYFRAMES);
         map.activate(&ids, &mut joint, true);
@@ -106,11 +109,23 @@ pub fn margin(joint: &JointCovariance, truth: &DenseFilter) -> f64 {
 /// Rounding, relative to the largest variance.
 pub const ROUNDING: f64 = 1e-9;
 
+const CORRELATIONS: [Correlation; 3] =
+    [Correlation::None, Correlation::Blocks, Correlation::BlocksAndCommon(COMMON)];
+
 #[test]
 fn evicted_keyframes_that_come_back_never_make_the_filter_overconfident() {
-    let (none, blocks, common) =
-        (Correlation::None, Correlation::Blocks, Correlation::BlocksAndCommon(COMMON));
-    for (seed, correlation) in [(0, none), (1, none), (2, blocks), (3, blocks), (4, common), (5, common)] {
+    never_overconfident([0, 2, 4]);
+}
+
+#[test]
+#[ignore = "all seeds"]
+fn evicted_keyframes_that_come_back_never_make_the_filter_overconfident_with_all_seeds() {
+    never_overconfident([0, 2, 4]);
+    never_overconfident([1, 3, 5]);
+}
+
+fn never_overconfident(seeds: [u64; 3]) {
+    for (seed, correlation) in seeds.into_iter().zip(CORRELATIONS) {
         let outcome = run(seed, correlation, Eviction::Conservative);
         assert!(outcome.evicted > 250, "{} evicted: the law was hardly exercised", outcome.evicted);
         assert!(outcome.worst > -ROUNDING, "seed {seed}: stated below true by {:e}", outcome.worst);
@@ -121,8 +136,7 @@ fn evicted_keyframes_that_come_back_never_make_the_filter_overconfident() {
 
 #[test]
 fn inserting_an_evicted_keyframe_as_new_would_make_it_overconfident() {
-    let correlations = [Correlation::None, Correlation::Blocks, Correlation::BlocksAndCommon(COMMON)];
-    for (seed, correlation) in [0, 2, 4].into_iter().zip(correlations) {
+    for (seed, correlation) in [0, 2, 4].into_iter().zip(CORRELATIONS) {
         let outcome = run(seed, correlation, Eviction::Naive);
         assert!(outcome.worst < -1e-3, "seed {seed}: the law above has no power, {:e}", outcome.worst);
     }

@@ -13,18 +13,28 @@ const SESSION_S: f64 = 46.0;
 /// ... and of all sessions together, at most.
 const RECORDING_S: f64 = 410.0;
 
+/// Tracks in an image, in every run of the tests.
+pub const FEW_TRACKS: usize = 40;
+/// Tracks in an image, in the nightly run.
+pub const ALL_TRACKS: usize = 60;
+
 /// Several sessions over one loop of 126 m, and the whole recording that they are cut from.
 ///
 /// # Arguments
 /// * `period_s`: between images with features.
 pub fn sessions(seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Sequence) {
+    sessions_with(FEW_TRACKS, seed, count, period_s)
+}
+
+/// As [`sessions`], with so many tracks in an image.
+pub fn sessions_with(max_tracks: usize, seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Sequence) {
     let session_s = SESSION_S.min(RECORDING_S / count as f64);
     let options = SimulationOptions {
         seed,
         scenario: Scenario::Loops,
         speed: 3.0,
         duration_s: Some(session_s * count as f64),
-        max_tracks: 60,
+        max_tracks,
         live_feature_period_s: period_s,
         dropout_fraction: 0.0,
         ..SimulationOptions::default()

@@ -17,6 +17,7 @@ fn options(runs: usize, seconds: f64) -> MonteCarloOptions {
             scenario,
             speed: scenario.usual_speed(),
             depth_m: scenario.depth_m(),
+            max_tracks: 50,
             duration_s: Some(seconds),
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()
