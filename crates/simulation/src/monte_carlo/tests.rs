@@ -127,7 +127,9 @@ fn a_covariance_that_is_too_small_is_called_so() {
     let mut bold = variant(MapMode::Odometry);
     bold.config.sigma_track_px = 0.3;
     bold.config.adaptive_noise = AdaptiveNoise::NONE;
-    let all = run(&options(12, 12.0), &[variant(MapMode::Odometry), bold], |_| {}).unwrap();
+    let mut options = options(12, 12.0);
+    options.simulation.max_tracks = SimulationOptions::default().max_tracks;
+    let all = run(&options, &[variant(MapMode::Odometry), bold], |_| {}).unwrap();
     let verdicts: Vec<_> = all
         .iter()
         .map(|runs| score(runs, &score::ScoreOptions::default()).local.unwrap().pose.verdict)
