@@ -78,7 +78,7 @@ fn odometry_is_as_stated(count: usize, tracks: Tracks) {
 
 #[test]
 fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
-    wrong_calibrations_are_found(2);
+    wrong_calibrations_are_found(3);
 }
 
 #[test]
