@@ -7,7 +7,7 @@ use std::path::Path;
 use hand_in::{Candidate, Chunk, Header, SessionFrame, SessionWriter};
 use maintenance::{SessionReport, Settings, log_odds, take_session};
 use map::{Landmark, MapContents};
-use mapping::{BuildOptions, PosePriors, build_map_from_odometry, run_odometry};
+use mapping::{BuildOptions, PosePriors, build_map_from_odometry, part_shown, run_odometry};
 use nalgebra::Vector3;
 use sensors::Sequence;
 use simulation::{ChangingPlace, Scenario, SimulationOptions};
@@ -167,4 +167,15 @@ fn what_only_the_rear_camera_sees_is_confirmed_lost_and_learned() {
         let new = taken.keyframes.iter().filter(|keyframe| keyframe.id > last);
         assert!(new.filter(|keyframe| is_rear(keyframe.id - last)).count() > 0, "{report:?}");
     }
+}
+
+/// Large maps are worked on in the part that a session shows.
+#[test]
+fn the_part_of_a_map_is_found_that_the_rear_camera_alone_shows() {
+    let place = place();
+    let map = map_of(&mut place.record(1, FIRST_NS).unwrap());
+    let session = handed_in(&place.record(2, FIRST_NS + DAY_NS).unwrap(), |_| vec![REAR]);
+    let most = map.keyframes.len() / 2;
+    let part = part_shown(&map, &session, most, &mut |_, _, _| {}).unwrap();
+    assert_eq!(part.len(), most);
 }

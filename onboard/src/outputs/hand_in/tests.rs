@@ -243,7 +243,7 @@ fn every_camera_that_the_map_is_asked_about_has_candidates_within_one_budget() {
             assert_eq!(ahead + left + behind, session.candidates());
             let (most, least) = (ahead.max(left).max(behind), ahead.min(left).min(behind));
             // One that is asked about twice as often may have twice as many where there is room for all.
-            assert!(least >= 3 && most <= 2 * least + 1, "{ahead}, {left}, {behind}");
+            assert!(least >= 2 && most <= 2 * least + 1, "{ahead}, {left}, {behind}");
         }
     }
 }
