@@ -34,17 +34,24 @@ pub(super) fn fits(fit: &Fit, sequence: &Sequence) -> bool {
 
 /// The mistake without which odometry fits.
 ///
+/// # Arguments
+/// * `has_tracks`: whether the recording has tracks. Those of images are made anew for each: the gyroscope predicted them by the calibration.
+///
 /// # Errors
 /// Odometry cannot run.
 pub(super) fn find(
     sequence: &mut Sequence,
     cameras: usize,
     config: &EstimatorConfig,
+    has_tracks: bool,
 ) -> Result<Option<&'static str>> {
     let stated = sequence.cameras.clone();
     let mut found = None;
     for mistake in MISTAKES {
         (mistake.undo)(&mut sequence.cameras);
+        if !has_tracks {
+            sequence.frames.iter_mut().for_each(|frame| frame.tracks.clear());
+        }
         let run = run_configured(sequence, cameras, config, |_, _| (), |_, _| ())?;
         sequence.cameras.clone_from(&stated);
         if fits(&Fit::of(&run), sequence) {

@@ -136,7 +136,8 @@ pub fn check_calibration(
             |_, _| (),
         )?;
         let is_explained = fits || far_s.is_some() && gross_errors::fits(&Fit::of(&estimated), sequence);
-        let mistake = if is_explained { None } else { gross_errors::find(sequence, cameras, config)? };
+        let mistake =
+            if is_explained { None } else { gross_errors::find(sequence, cameras, config, has_tracks)? };
         anyhow::Ok((estimated, mistake))
     })?;
     let estimator = estimated.supervisor.estimator();
