@@ -47,14 +47,18 @@ fn null_or_texts<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<
     Ok(Option::deserialize(deserializer)?.unwrap_or_default())
 }
 
+/// A text in quotes, on one line. Strings of JSON are such of YAML.
+pub(crate) fn quoted(text: &str) -> serde_json::Value {
+    serde_json::Value::from(text)
+}
+
 /// The value of `custom_data`, from behind its colon to the end of its last line.
 pub(crate) fn custom_data_yaml(metadata: &[Metadata]) -> String {
     let mut lines = String::new();
     for Metadata { name, entries } in metadata {
         for (entry, text) in entries {
-            // Strings of JSON are such of YAML, on one line.
-            let key = serde_json::Value::from(format!("{name}{SEPARATOR}{entry}"));
-            let _ = write!(lines, "\n  {key}: {}", serde_json::Value::from(text.as_str()));
+            let key = quoted(&format!("{name}{SEPARATOR}{entry}"));
+            let _ = write!(lines, "\n  {key}: {}", quoted(text));
         }
     }
     if lines.is_empty() { " ~\n".to_owned() } else { lines + "\n" }

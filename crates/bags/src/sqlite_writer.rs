@@ -2,7 +2,7 @@
 
 use crate::BagError;
 use crate::qos::{self, OfferedQos};
-use crate::rosbag2_metadata::custom_data_yaml;
+use crate::rosbag2_metadata::{custom_data_yaml, quoted};
 use crate::storage::Metadata;
 use crate::writer::{MessageType, WrittenTopic};
 use rusqlite::{Connection, params};
@@ -151,10 +151,10 @@ impl SqliteWriter {
         let (begin_ns, messages) =
             (self.first_ns.unwrap_or(0), self.topics.iter().map(|topic| topic.messages).sum::<u64>());
         let duration_ns = self.last_ns.saturating_sub(begin_ns).max(0);
-        let file = self.file.file_name().unwrap_or_default().to_string_lossy();
+        let file = quoted(&self.file.file_name().unwrap_or_default().to_string_lossy());
         let mut topics = String::new();
         for TopicCount { name, type_name, hash, qos, messages } in &self.topics {
-            let (key, profiles) = (qos::KEY, qos.yaml("        "));
+            let (name, key, profiles) = (quoted(name), qos::KEY, qos.yaml("        "));
             let _ = write!(
                 topics,
                 "  - topic_metadata:\n      name: {name}\n      type: {type_name}\n      serialization_format: cdr\n      \

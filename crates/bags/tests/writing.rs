@@ -131,6 +131,22 @@ fn texts() -> Metadata {
 }
 
 #[test]
+fn names_with_signs_of_yaml_are_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["hall #2", "run: 2", "[a] 'b' \"c\"", "2026-11-30", "\u{fc}ber"] {
+        let path = folder.path().join(name);
+        let mut writer = BagWriter::create(&path, Format::Rosbag2).unwrap();
+        let topic = writer.topic(&format!("/{name}"), &types()[0], OfferedQos::default()).unwrap();
+        writer.write(topic, START_NS, &[0, 1, 0, 0]).unwrap();
+        writer.finish().unwrap();
+        let bag = Bag::open(&path).unwrap();
+        let topics: Vec<_> = bag.topics().iter().map(|topic| (&*topic.name, topic.messages.len())).collect();
+        assert_eq!(topics, [(&*format!("/{name}"), 1)]);
+        assert!(bag.notes().is_empty(), "{:?}", bag.notes());
+    }
+}
+
+#[test]
 fn texts_about_a_recording_come_back() {
     let folder = tempfile::tempdir().unwrap();
     for format in FORMATS {
