@@ -13,10 +13,13 @@ const UNKNOWN: u8 = 0;
 
 /// The topic of the positions of a recording of Driftless.
 pub const GNSS_TOPIC: &str = "/gnss";
+/// Variance that is stated of the rotation, rad^2: nothing is known of it.
+const UNKNOWN_ROTATION: f64 = 1e6;
 /// Columns of the covariance of a pose.
 const POSE_COLUMNS: usize = 6;
 
-/// A position in the frame of the map as a message; `None` for a time that ROS cannot write. The rotation says nothing.
+/// A position in the frame of the map as a message; `None` for a time that ROS cannot write. The rotation is the identity, with a
+/// variance of 1e6 rad^2 about each axis: a zero would state that it is known.
 ///
 /// # Arguments
 /// * `frame`: name of the map's frame.
@@ -31,6 +34,7 @@ pub fn position_message(reading: &GnssReading, frame: &str) -> Option<PoseWithCo
         for column in 0..3 {
             message.pose.covariance[POSE_COLUMNS * row + column] = reading.covariance[(row, column)];
         }
+        message.pose.covariance[(POSE_COLUMNS + 1) * (row + 3)] = UNKNOWN_ROTATION;
     }
     Some(message)
 }
@@ -87,4 +91,21 @@ pub fn satellite_position(message: &NavSatFix) -> Result<SatellitePosition, NoFi
         geodetic,
         covariance: is_stated.then_some(covariance),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_position_states_nothing_of_the_rotation_and_comes_back() {
+        let covariance = Matrix3::new(4.0, 0.5, 0.1, 0.5, 3.0, 0.2, 0.1, 0.2, 2.0);
+        let reading = GnssReading { stamp_ns: 7, position: Vector3::new(1.0, 2.0, 3.0), covariance };
+        let message = position_message(&reading, "map").unwrap();
+        let stated = nalgebra::Matrix6::from_row_slice(&message.pose.covariance);
+        assert_eq!(stated.fixed_view::<3, 3>(0, 0), covariance);
+        assert_eq!(stated.fixed_view::<3, 3>(3, 3), Matrix3::from_diagonal_element(UNKNOWN_ROTATION));
+        assert!(stated.cholesky().is_some(), "{stated}");
+        assert_eq!(position_of_message(&message), Some(reading));
+    }
 }
