@@ -31,10 +31,47 @@ pub fn write_whole(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// As of [`write_whole`].
 pub fn write_whole_secret(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    write(path.as_ref(), bytes, &mut owner_only())
+}
+
+/// Writes a file that is not there yet, and waits until it is on the disk.
+///
+/// # Errors
+/// [`std::io::ErrorKind::AlreadyExists`], and the others of the file system; nothing is left then but what was there before.
+///
+/// ```
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("robot.key.pub");
+/// files::write_new(&path, b"a key")?;
+/// assert!(files::write_new(&path, b"another key").is_err());
+/// # Ok::<(), std::io::Error>(())
+/// ```
+pub fn write_new(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    create(path.as_ref(), bytes, &mut OpenOptions::new())
+}
+
+/// The same for a secret: readable by its owner only, where there are modes.
+///
+/// # Errors
+/// As of [`write_new`].
+pub fn write_new_secret(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    create(path.as_ref(), bytes, &mut owner_only())
+}
+
+fn owner_only() -> OpenOptions {
+    #[cfg_attr(not(unix), expect(unused_mut, reason = "there are no modes"))]
     let mut options = OpenOptions::new();
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    write(path.as_ref(), bytes, &mut options)
+    options
+}
+
+fn create(path: &Path, bytes: &[u8], options: &mut OpenOptions) -> Result<()> {
+    let mut file = options.write(true).create_new(true).open(path)?;
+    let written = file.write_all(bytes).and_then(|()| file.sync_all());
+    written.inspect_err(|_| _ = std::fs::remove_file(path))?;
+    sync_parent(path);
+    Ok(())
 }
 
 fn write(path: &Path, bytes: &[u8], options: &mut OpenOptions) -> Result<()> {

@@ -60,9 +60,8 @@ impl SecretKey {
     /// Writes a new key to `file`, readable by its owner only, and the public one beside it, with `.pub`.
     ///
     /// # Errors
-    /// [`KeyError`]: files that exist, or cannot be written.
+    /// [`KeyError`]: files that exist, or cannot be written. Neither file is written then.
     pub fn generate(file: &Path) -> Result<PathBuf, KeyError> {
-        use std::io::Write as _;
         let public_file = file.with_added_extension("pub");
         let failed = |failed: &Path, error: minisign::PError| KeyError {
             file: failed.to_owned(),
@@ -71,16 +70,19 @@ impl SecretKey {
         let pair = minisign::KeyPair::generate_unencrypted_keypair().map_err(|error| failed(file, error))?;
         let secret = pair.sk.to_box(None).map_err(|error| failed(file, error))?.to_bytes();
         let public = pair.pk.to_box().map_err(|error| failed(&public_file, error))?.to_bytes();
-        for (path, bytes, mode) in [(file, secret, 0o600), (public_file.as_path(), public, 0o644)] {
-            let mut options = std::fs::File::options();
-            options.write(true).create_new(true);
-            #[cfg(unix)]
-            std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
-            #[cfg(not(unix))]
-            let _ = mode;
-            let written = options.open(path).and_then(|mut opened| opened.write_all(&bytes));
-            written.map_err(|error| KeyError { file: path.to_owned(), reason: error.into() })?;
-        }
+        let unwritten = |path: &Path, error: std::io::Error| {
+            let reason = match error.kind() {
+                std::io::ErrorKind::AlreadyExists => "it is there already: give another name".into(),
+                _ => error.into(),
+            };
+            KeyError { file: path.to_owned(), reason }
+        };
+        // Nobody signs with a key whose public half is another one's, or lost.
+        files::write_new(&public_file, &public).map_err(|error| unwritten(&public_file, error))?;
+        files::write_new_secret(file, &secret).map_err(|error| {
+            let _ = std::fs::remove_file(&public_file);
+            unwritten(file, error)
+        })?;
         Ok(public_file)
     }
 
@@ -121,5 +123,18 @@ mod tests {
             assert!(public.verify(b"another", &signature).is_err());
         }
         assert!(SecretKey::read(&folder.path().join("none.key"), None).is_err());
+    }
+
+    #[test]
+    fn a_file_that_is_there_is_kept_and_no_half_of_a_pair_is_left() {
+        for occupied in ["city.key", "city.key.pub"] {
+            let folder = tempfile::tempdir().unwrap();
+            std::fs::write(folder.path().join(occupied), "of another pair").unwrap();
+            let error = SecretKey::generate(&folder.path().join("city.key")).unwrap_err();
+            assert_eq!(error.file, folder.path().join(occupied));
+            assert!(error.to_string().ends_with("it is there already: give another name"), "{error}");
+            assert_eq!(std::fs::read_to_string(&error.file).unwrap(), "of another pair");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "{occupied}");
+        }
     }
 }
