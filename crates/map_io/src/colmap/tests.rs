@@ -204,3 +204,16 @@ fn every_camera_that_colmap_has_is_read_back_and_the_others_are_named() {
         assert!(matches!(&refused, Err(ColmapError::CameraModel { model }) if *model == name), "{refused:?}");
     }
 }
+
+#[test]
+fn a_model_that_cannot_be_written_leaves_no_part_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    // In the place of what is renamed to the last file.
+    let in_the_way = folder.path().join("points3D.txt.unfinished");
+    std::fs::create_dir(&in_the_way).unwrap();
+    let write = || write_model(folder.path(), &map(), |keyframe| keyframe.id.to_string());
+    assert!(matches!(write(), Err(ColmapError::Write { path, .. }) if path.ends_with("points3D.txt")));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    std::fs::remove_dir(&in_the_way).unwrap();
+    assert!(write().is_ok());
+}

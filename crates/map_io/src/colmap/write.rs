@@ -21,7 +21,7 @@ use map::model::{Keyframe, Landmark};
 /// * `image_name`: of the image of a keyframe, as COLMAP is to find it; see [`super::image_names`].
 ///
 /// # Errors
-/// [`ColmapError`], also where two keyframes have one name.
+/// [`ColmapError`], also where two keyframes have one name. No part of a model is left then.
 pub fn write_model(
     folder: &Path,
     contents: &MapContents,
@@ -37,18 +37,27 @@ pub fn write_model(
     }
     let model = Model::new(contents);
     let cameras = model.cameras_text()?;
-    std::fs::create_dir_all(folder)
-        .map_err(|reason| ColmapError::Write { path: folder.to_owned(), reason })?;
-    let texts = [cameras, model.images_text(&image_name), model.points_text()];
-    for (name, text) in TEXT_FILES.iter().zip(texts) {
-        let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|reason| ColmapError::Write { path, reason })?;
-    }
+    write_texts(folder, [cameras, model.images_text(&image_name), model.points_text()])?;
     let points = model.landmarks.len();
     Ok(WrittenModel {
         images: contents.keyframes.len(),
         points,
         seen_once: contents.landmarks.len() - points,
+    })
+}
+
+/// Writes all files, none of which is there, or none of them.
+fn write_texts(folder: &Path, texts: [String; 3]) -> Result<(), ColmapError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|reason| ColmapError::Write { path: folder.to_owned(), reason })?;
+    let mut all = TEXT_FILES.iter().map(|name| folder.join(name)).zip(&texts);
+    let written = all.try_for_each(|(path, text)| {
+        files::write_whole(&path, text.as_bytes()).map_err(|reason| ColmapError::Write { path, reason })
+    });
+    written.inspect_err(|_| {
+        for name in TEXT_FILES {
+            let _ = std::fs::remove_file(folder.join(name));
+        }
     })
 }
 
