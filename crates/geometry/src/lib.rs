@@ -11,6 +11,7 @@
 //! | [`robust`] | Huber's loss |
 //! | `median` | [`median()`] |
 //! | `geodetic` | [`Geodetic`], [`EnuFrame`]: positions on the earth, east, north and up of one of them |
+//! | `level` | [`tilt_beyond_limit_deg`]: whether the z axis of a map is vertical |
 //! | [`numeric`] | numeric Jacobians for tests |
 //!
 //! # Conventions
@@ -26,6 +27,7 @@ mod camera_groups;
 pub mod coordinate;
 pub mod covariance_check;
 mod geodetic;
+mod level;
 mod median;
 pub mod numeric;
 pub mod pnp;
@@ -41,6 +43,7 @@ pub use camera::{
 pub use camera_groups::{CameraGroup, camera_groups};
 pub use coordinate::{MAX_COORDINATE_M, is_coordinate};
 pub use geodetic::{EnuFrame, Geodetic};
+pub use level::{MAX_TILT_DEG, tilt_beyond_limit_deg};
 pub use median::median;
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;

@@ -4,7 +4,7 @@
 
 use super::recording_queue::RecordingQueue;
 use super::recording_settings::RecordingSettings;
-use super::ros::{Diagnostics, OdomFrame, messages};
+use super::ros::{Diagnostics, OdomFrame, map_tilt_deg, messages};
 use super::sensor_topics::{SensorTopics, mounting};
 use bags::{BagError, Format};
 use estimator::ImuSample;
@@ -32,7 +32,8 @@ pub(crate) struct MessageRecording {
     queue: RecordingQueue,
     odom: OdomFrame,
     clock_shift_ns: i64,
-    /// Whether it is recorded where the sensors are mounted.
+    /// That of the last estimate.
+    map_tilt_deg: Option<f64>,
     /// Whether the robot's frame was known when it was recorded where the sensors are.
     mounted: Option<bool>,
     /// Statuses before the first frame, which tells the time of the sensors, and when they were made.
@@ -53,15 +54,23 @@ impl MessageRecording {
             writer.write_sensors(&topics, &settings.calibration)?;
         }
         let queue = RecordingQueue::start(path, writer, settings.realtime)?;
-        let odom = OdomFrame::default();
-        let (clock_shift_ns, mounted, first_statuses) = (0, None, Vec::new());
-        Ok(Self { settings, topics, queue, odom, clock_shift_ns, mounted, first_statuses })
+        Ok(Self {
+            settings,
+            topics,
+            queue,
+            odom: OdomFrame::default(),
+            clock_shift_ns: 0,
+            map_tilt_deg: None,
+            mounted: None,
+            first_statuses: Vec::new(),
+        })
     }
 
     fn record_status(&mut self, stamp_ns: i64, report: &StatusReport) {
         let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
         let RecordingSettings { robot, map_expected, body, .. } = &self.settings;
-        let diagnostics = Diagnostics::of(robot, *map_expected, body, stamp_ns, report).message;
+        let diagnostics =
+            Diagnostics::of(robot, *map_expected, body, self.map_tilt_deg, stamp_ns, report).message;
         self.message("/diagnostics", stamp_ns, &diagnostics);
     }
 
@@ -109,6 +118,7 @@ impl Output for MessageRecording {
 
     /// Records odometry, transforms, and the pose in the map.
     fn estimate(&mut self, estimate: &Estimate) {
+        self.map_tilt_deg = map_tilt_deg(estimate);
         let mut estimate = estimate.clone();
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
         let stamp_ns = estimate.motion.stamp_ns;

@@ -3,14 +3,13 @@
 use super::error::GridError;
 use super::grid::{Cell, OccupancyGrid};
 use super::traversal::traverse;
+use geometry::tilt_beyond_limit_deg;
 use map::MapContents;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
 /// Most cells of a grid: a message of so many bytes goes over Zenoh.
 const MAX_CELLS: u64 = 15_000_000;
-/// Largest angle between the z axis of a map and the vertical, degrees.
-const MAX_TILT_DEG: f64 = 5.0;
 
 /// Where the floor is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -215,9 +214,8 @@ impl Seen {
 
 /// Refuses a map whose z axis is known not to be vertical.
 fn check_level(gravity: Option<Vector3<f64>>) -> Result<(), GridError> {
-    let Some(gravity) = gravity else { return Ok(()) };
-    let tilt_deg = gravity.angle(&-Vector3::z()).to_degrees();
-    if tilt_deg > MAX_TILT_DEG { Err(GridError::NotLevel { tilt_deg }) } else { Ok(()) }
+    let tilt_deg = gravity.and_then(|gravity| tilt_beyond_limit_deg(&-gravity));
+    tilt_deg.map_or(Ok(()), |tilt_deg| Err(GridError::NotLevel { tilt_deg }))
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {

@@ -26,13 +26,33 @@ impl Diagnostics {
     ///
     /// # Arguments
     /// * `body`: whose frame may have been taken for that of the IMU, which is worth a warning.
+    /// * `map_tilt_deg`: angle between the z axis of the map and the vertical, degrees, where that is worth one.
     /// * `stamp_ns`: on the clock of the sensors, nanoseconds.
-    pub fn of(robot: &str, map_expected: bool, body: &RosBody, stamp_ns: i64, report: &StatusReport) -> Self {
+    pub fn of(
+        robot: &str,
+        map_expected: bool,
+        body: &RosBody,
+        map_tilt_deg: Option<f64>,
+        stamp_ns: i64,
+        report: &StatusReport,
+    ) -> Self {
         let StatusReport { status, queries, .. } = report;
-        let assumed = body.mount.is_assumed().then_some(&body.frames.base_link);
+        let assumed = body.mount.is_assumed().then(|| {
+            let base = &body.frames.base_link;
+            format!(
+                "{base} is taken to be the IMU: no transform states where it is, give --imu-in-base-link; "
+            )
+        });
+        let tilted = map_tilt_deg.map(|tilt_deg| {
+            format!(
+                "the z axis of the map is {tilt_deg:.1} degrees off the vertical: x, y and yaw in it are not those on the floor; build the map from \
+                 reference poses with z up, or without any; "
+            )
+        });
+        let warnings: String = [assumed, tilted].into_iter().flatten().collect();
         let level = match status.localization {
             Localization::Localized | Localization::OdometryOnly
-                if assumed.is_some() || report.has_sensor_fault =>
+                if !warnings.is_empty() || report.has_sensor_fault =>
             {
                 DiagnosticStatus::WARN
             }
@@ -45,13 +65,7 @@ impl Diagnostics {
         let component = DiagnosticStatus {
             level,
             name: "driftless: localization".to_owned(),
-            message: match assumed {
-                Some(base) => format!(
-                    "{base} is taken to be the IMU: no transform states where it is, give --imu-in-base-link; {}",
-                    status.reason
-                ),
-                None => status.reason.clone(),
-            },
+            message: warnings + &status.reason,
             hardware_id: robot.to_owned(),
             values: vec![
                 value("state", status_word(status).to_owned()),
@@ -105,7 +119,7 @@ mod tests {
             Status { localization, reason: reason.to_owned(), last_map_update_ns: None, held_keyframes: 3 };
         let mut report = StatusReport::new(Some(5), status);
         (report.queries.sent, report.queries.answered) = (2, 1);
-        Diagnostics::of("cart7", map_expected, body, 5_000_000_007, &report)
+        Diagnostics::of("cart7", map_expected, body, None, 5_000_000_007, &report)
     }
 
     fn level(localization: Localization, map_expected: bool) -> u8 {
@@ -128,7 +142,7 @@ mod tests {
             let status = Status { localization, reason, last_map_update_ns: None, held_keyframes: 3 };
             let mut report = StatusReport::new(Some(5), status);
             report.has_sensor_fault = true;
-            Diagnostics::of("cart7", true, &RosBody::default(), 5, &report).message.status[0].level
+            Diagnostics::of("cart7", true, &RosBody::default(), None, 5, &report).message.status[0].level
         };
         assert_eq!(level_of(Localization::Localized), DiagnosticStatus::WARN);
         assert_eq!(level_of(Localization::Lost), DiagnosticStatus::ERROR);
@@ -148,6 +162,26 @@ mod tests {
         body.mount.state(Pose::identity());
         let stated = first_of(Localization::Localized);
         assert_eq!((stated.level, stated.message.as_str()), (DiagnosticStatus::OK, "fine"));
+    }
+
+    #[test]
+    fn a_map_that_is_not_level_is_a_warning() {
+        let level_of = |localization| {
+            let reason = "fine".to_owned();
+            let status = Status { localization, reason, last_map_update_ns: None, held_keyframes: 3 };
+            let report = StatusReport::new(Some(5), status);
+            let body = RosBody::default();
+            let component =
+                Diagnostics::of("cart7", true, &body, Some(11.3), 5, &report).message.status.swap_remove(0);
+            assert!(
+                component.message.starts_with("the z axis of the map is 11.3 degrees off the vertical: "),
+                "{}",
+                component.message
+            );
+            component.level
+        };
+        assert_eq!(level_of(Localization::Localized), DiagnosticStatus::WARN);
+        assert_eq!(level_of(Localization::Lost), DiagnosticStatus::ERROR);
     }
 
     #[test]

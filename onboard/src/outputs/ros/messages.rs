@@ -3,7 +3,7 @@
 use super::odom_frame::OdomFrame;
 use super::settings::RosBody;
 use estimator::Motion;
-use geometry::{Pose, PoseWithCovariance};
+use geometry::{Pose, PoseWithCovariance, tilt_beyond_limit_deg};
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use robot::Estimate;
 use ros_messages::builtin_interfaces::Time;
@@ -50,6 +50,13 @@ pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Op
         }),
         transforms: TFMessage { transforms },
     })
+}
+
+/// Angle between the z axis of the map and the vertical, degrees, where x, y and yaw in the map are not those on the floor; `None` while
+/// not localized.
+pub fn map_tilt_deg(estimate: &Estimate) -> Option<f64> {
+    // z of L is up.
+    tilt_beyond_limit_deg(&(estimate.trusted()?.global_from_local.pose.rotation * Vector3::z()))
 }
 
 /// Pose and velocities of the robot in `odom`; `None` for a time that ROS cannot write.

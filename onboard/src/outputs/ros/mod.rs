@@ -38,7 +38,7 @@ pub use base_mount::BaseMount;
 #[cfg(feature = "bags")]
 pub(crate) use diagnostics::Diagnostics;
 #[cfg(feature = "bags")]
-pub(crate) use messages::messages;
+pub(crate) use messages::{map_tilt_deg, messages};
 #[cfg(feature = "bags")]
 pub(crate) use odom_frame::OdomFrame;
 pub use output::RosOutput;

@@ -1,7 +1,7 @@
 //! Hands estimates over to the task that publishes them.
 
 use super::diagnostics::Diagnostics;
-use super::messages::{Messages, messages, odometry};
+use super::messages::{Messages, map_tilt_deg, messages, odometry};
 use super::odom_frame::OdomFrame;
 use super::serving::serve;
 use super::settings::RosSettings;
@@ -45,6 +45,8 @@ pub struct RosOutput {
     queue: mpsc::Sender<Outgoing>,
     /// Added to all stamps, nanoseconds.
     clock_shift_ns: i64,
+    /// That of the last estimate.
+    map_tilt_deg: Option<f64>,
     /// When the last image was processed: one that waits for readings of the IMU is not.
     last_image: Option<Instant>,
     pub(super) diagnostics: watch::Sender<Option<Diagnostics>>,
@@ -79,6 +81,7 @@ impl RosOutput {
             odom: OdomFrame::default(),
             queue,
             clock_shift_ns: 0,
+            map_tilt_deg: None,
             last_image: None,
             diagnostics,
             static_transforms,
@@ -107,6 +110,7 @@ impl Output for RosOutput {
         if let Some(cameras) = self.mounted.take_if(|_| !is_assumed) {
             self.publish_mounting(&cameras);
         }
+        self.map_tilt_deg = map_tilt_deg(estimate);
         let mut estimate = estimate.clone();
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
         let Some(messages) = messages(&self.settings.body, &mut self.odom, &estimate) else {
@@ -143,7 +147,7 @@ impl Output for RosOutput {
     fn status(&mut self, report: &StatusReport) {
         let stamp_ns = report.stamp_or_now_ns().saturating_add(self.clock_shift_ns);
         let RosSettings { robot, map_expected, body, .. } = &*self.settings;
-        let mut new = Diagnostics::of(robot, *map_expected, body, stamp_ns, report);
+        let mut new = Diagnostics::of(robot, *map_expected, body, self.map_tilt_deg, stamp_ns, report);
         new.last_image = self.last_image.unwrap_or(new.last_image);
         self.diagnostics.send_if_modified(|last| {
             let changed = last.as_ref().is_none_or(|last| new.differs_from(last));

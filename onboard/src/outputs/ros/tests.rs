@@ -1,6 +1,6 @@
 //! Messages against the definitions of REP-103 and REP-105, and through a Zenoh session.
 
-use super::messages::{Messages, messages};
+use super::messages::{Messages, map_tilt_deg, messages};
 use super::odom_frame::OdomFrame;
 use super::{BaseMount, InitialPoseTopic, RosBody, RosOutput, RosSettings};
 use client::SessionOptions;
@@ -373,4 +373,21 @@ fn a_namespace_that_ros_does_not_allow_is_refused() {
     settings.namespace = "cart-7".into();
     let error = RosOutput::start(settings, runtime().handle()).unwrap_err();
     assert!(error.to_string().contains("cart-7"), "{error}");
+}
+
+#[test]
+fn a_map_is_level_where_its_z_axis_is_up_in_the_odometry_frame() {
+    let tilt_of = |turn: [f64; 3], is_usable: bool| {
+        let mut tilted = estimate();
+        let translation = [10.0, 20.0, 0.0];
+        tilted.global.as_mut().unwrap().global_from_local =
+            PoseWithCovariance::exact(pose(turn, translation));
+        tilted.is_usable = is_usable;
+        map_tilt_deg(&tilted)
+    };
+    assert_eq!(tilt_of([0.0, 0.0, -2.0], true), None);
+    assert_eq!(tilt_of([0.08, 0.0, 0.0], true), None);
+    let tilt_deg = tilt_of([0.0, 0.2, 0.0], true).unwrap();
+    assert!((tilt_deg - 0.2_f64.to_degrees()).abs() < 1e-9, "{tilt_deg}");
+    assert_eq!(tilt_of([0.0, 0.2, 0.0], false), None, "lost");
 }
