@@ -5,7 +5,7 @@ use crate::robot::RobotState;
 use std::time::{Duration, Instant};
 
 /// A robot that publishes nothing for so long is not there: it publishes its status at least once a second.
-const SILENCE: Duration = Duration::from_secs(5);
+pub const SILENCE: Duration = Duration::from_secs(5);
 
 /// What is known of a robot's presence. Times are those at which things came, since the clocks of sensors are their own.
 ///

@@ -2,14 +2,15 @@
 
 use crate::broker::{BrokerAddress, BrokerUser};
 use crate::fleet::{Fleet, MAX_ROBOTS};
-use crate::mqtt::{BrokerWatch, VehicleConnection};
+use crate::mqtt::{BrokerWatch, VehicleConnection, VehicleNames};
 use crate::names::{INTERFACE, NameError, Topics, check_level, check_serial};
 use crate::session::Endpoint;
 use crate::tls::{BrokerTls, BrokerTlsError};
 use crate::vehicle::VehicleSettings;
+use protocol::presence::SILENCE;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use thiserror::Error;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -126,7 +127,7 @@ impl BridgeSettings {
 }
 
 /// What a bridge tells its program.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BridgeEvent {
     /// A robot was found, and is published under a topic.
@@ -138,6 +139,15 @@ pub enum BridgeEvent {
     },
     /// A robot whose name cannot be a serial number: it is not published.
     Refused(NameError),
+    /// The z axis of a robot's map is not vertical: its position is published as not initialized. Told once.
+    MapNotLevel {
+        /// The robot.
+        robot: String,
+        /// The map.
+        map: String,
+        /// Angle between z and the vertical, degrees.
+        tilt_deg: f64,
+    },
     /// More robots were heard of than are bridged: those that came later are not published. Told once.
     TooManyRobots {
         /// How many are bridged.
@@ -156,6 +166,9 @@ pub enum BridgeEvent {
 ///
 /// Each vehicle has a connection to the broker of its own, since a last will belongs to a connection. Nothing waits for the broker: while it
 /// does not answer positions are dropped, and after it does the newest follow.
+///
+/// `connection` is retained, and a broker keeps `ONLINE` of who went off while it, or the bridge, was not there. The end of an announced vehicle is published
+/// until the broker takes it; robots of [`BridgeSettings::serials`] that nothing is heard of within 5 s are `OFFLINE` from then on.
 ///
 /// # Arguments
 /// * `tell`: takes what happens; it must not block.
@@ -177,6 +190,7 @@ pub async fn run(
     let watch = Arc::new(BrokerWatch::new(tell));
     let (stopping, stopped) = watch::channel(false);
     let (mut tasks, mut known, mut is_full) = (JoinSet::new(), BTreeSet::new(), false);
+    let mut expected_at = settings.announces.then(|| Instant::now() + SILENCE);
     let mut looks = tokio::time::interval(LOOK);
     tokio::pin!(stop);
     loop {
@@ -187,21 +201,19 @@ pub async fn run(
         if fleet.is_full() && !std::mem::replace(&mut is_full, true) {
             watch.tell(BridgeEvent::TooManyRobots { limit: MAX_ROBOTS });
         }
+        if expected_at.take_if(|at| *at <= Instant::now()).is_some() {
+            fleet.expect_chosen(Instant::now());
+        }
         for (robot, vehicle) in fleet.vehicles() {
             let Some(serial) = settings.serial_of(&robot).filter(|_| known.insert(robot.clone())) else {
                 continue;
             };
             match Topics::new(&settings.interface, &settings.manufacturer, &serial) {
                 Ok(topics) => {
-                    watch.tell(BridgeEvent::Vehicle { robot, topic: topics.visualization.clone() });
-                    let connection = VehicleConnection::new(
-                        Arc::clone(&settings),
-                        endpoint.clone(),
-                        Arc::clone(&watch),
-                        serial,
-                        topics,
-                        vehicle,
-                    );
+                    let names = VehicleNames { robot, serial, topics };
+                    let (settings, watch) = (Arc::clone(&settings), Arc::clone(&watch));
+                    let connection =
+                        VehicleConnection::new(settings, endpoint.clone(), watch, names, vehicle);
                     tasks.spawn(connection.serve(stopped.clone()));
                 }
                 Err(error) => watch.tell(BridgeEvent::Refused(error)),

@@ -48,10 +48,21 @@ impl Fleet {
         self.is_full.load(Ordering::Relaxed)
     }
 
-    /// The robots that were heard of.
+    /// The robots that were heard of, and those that were expected.
     pub(crate) fn vehicles(&self) -> Vec<(String, SharedVehicle)> {
         let vehicles = lock(&self.vehicles);
         vehicles.iter().map(|(name, vehicle)| (name.clone(), Arc::clone(vehicle))).collect()
+    }
+
+    /// Adds the robots that are chosen and were not heard of, as such.
+    pub(crate) fn expect_chosen(&self, now: Instant) {
+        let mut vehicles = lock(&self.vehicles);
+        for robot in &self.chosen {
+            if vehicles.len() < MAX_ROBOTS && !vehicles.contains_key(robot) {
+                let expected = Vehicle::expected(self.settings.clone(), now);
+                vehicles.insert(robot.clone(), Arc::new(Mutex::new(expected)));
+            }
+        }
     }
 
     /// Follows all robots of the session's namespace.

@@ -65,16 +65,28 @@ enum End {
     Stopped,
 }
 
+/// What a vehicle is called.
+pub(crate) struct VehicleNames {
+    pub(crate) robot: String,
+    pub(crate) serial: String,
+    pub(crate) topics: Topics,
+}
+
 /// One vehicle at the broker.
 pub(crate) struct VehicleConnection {
     settings: Arc<BridgeSettings>,
     endpoint: Endpoint,
     watch: Arc<BrokerWatch>,
-    serial: String,
-    topics: Topics,
+    names: VehicleNames,
     vehicle: SharedVehicle,
     visualizations: u32,
     connections: u32,
+    /// Whether it was told that there is such a vehicle.
+    is_told: bool,
+    /// Whether it was told that its map is not level.
+    is_tilt_told: bool,
+    /// Whether the broker may have it retained that the vehicle is online, and a goodbye is due.
+    is_announced: bool,
 }
 
 impl VehicleConnection {
@@ -82,18 +94,31 @@ impl VehicleConnection {
         settings: Arc<BridgeSettings>,
         endpoint: Endpoint,
         watch: Arc<BrokerWatch>,
-        serial: String,
-        topics: Topics,
+        names: VehicleNames,
         vehicle: SharedVehicle,
     ) -> Self {
-        Self { settings, endpoint, watch, serial, topics, vehicle, visualizations: 0, connections: 0 }
+        // A bridge before this one may have announced it.
+        let is_announced = settings.announces && !lock(&vehicle).is_online(Instant::now());
+        let (visualizations, connections) = (0, 0);
+        Self {
+            settings,
+            endpoint,
+            watch,
+            names,
+            vehicle,
+            visualizations,
+            connections,
+            is_told: false,
+            is_tilt_told: false,
+            is_announced,
+        }
     }
 
-    /// Publishes the vehicle while its robot is there, until the bridge stops.
+    /// Publishes the vehicle while its robot is there, until the bridge stops. Where the robot is gone, it connects only to say so, once.
     pub(crate) async fn serve(mut self, mut stopped: watch::Receiver<bool>) {
         let mut retry = RETRY[0];
         while !*stopped.borrow() {
-            if !self.is_online() {
+            if !self.is_online() && !self.is_announced {
                 sleep(LOOK).await;
                 continue;
             }
@@ -129,45 +154,76 @@ impl VehicleConnection {
         let (messages, waiting) = channel(QUEUE);
         // It must not be cancelled at any place, so that it has a task of its own.
         let mut network = tokio::spawn(session.run(waiting));
+        let end = match self.is_online() {
+            true => self.publish_while_online(&messages, &mut network, stopped).await?,
+            false => End::Gone,
+        };
+        let is_in_order = end == End::Stopped || self.is_shut_down().await;
+        let state = if is_in_order { ConnectionState::Offline } else { ConnectionState::ConnectionBroken };
+        let last = self.announcement(state);
+        match say_goodbye(messages, last, network).await {
+            Ok(()) => self.is_announced = false,
+            Err(error) if end == End::Gone => return Err((error, true)),
+            Err(error) => tracing::debug!("the last messages may be lost: {error}"),
+        }
+        Ok(end)
+    }
+
+    /// Announces the vehicle and publishes where it is, until its robot is gone or the bridge stops.
+    ///
+    /// # Errors
+    /// What broke the connection.
+    async fn publish_while_online(
+        &mut self,
+        messages: &Sender<Publish>,
+        network: &mut JoinHandle<Result<(), SessionError>>,
+        stopped: &mut watch::Receiver<bool>,
+    ) -> Result<End, (SessionError, bool)> {
         if let Some(message) = self.announcement(ConnectionState::Online) {
-            publish(&messages, message);
+            publish(messages, message);
+            self.is_announced = true;
         }
         let mut ticks = interval(Duration::from_secs_f64(1.0 / self.settings.rate_hz));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let end = loop {
+        loop {
             tokio::select! {
-                ended = &mut network => {
+                ended = &mut *network => {
                     let error = match ended {
                         Ok(Err(error)) => error,
                         _ => SessionError::Ended,
                     };
                     return Err((error, true));
                 }
-                _ = stopped.changed() => break End::Stopped,
-                _ = ticks.tick() => self.publish_position(&messages),
+                _ = stopped.changed() => return Ok(End::Stopped),
+                _ = ticks.tick() => self.publish_position(messages),
                 _ = looks.tick() => {}
             }
             if !self.is_online() {
                 // Where it was is not where it is.
-                self.publish_position(&messages);
-                break End::Gone;
+                self.publish_position(messages);
+                return Ok(End::Gone);
             }
-        };
-        let is_in_order = end == End::Stopped || self.is_shut_down().await;
-        let state = if is_in_order { ConnectionState::Offline } else { ConnectionState::ConnectionBroken };
-        let last = self.announcement(state);
-        say_goodbye(messages, last, network).await;
-        Ok(end)
+        }
     }
 
-    fn is_online(&self) -> bool {
-        lock(&self.vehicle).is_online(Instant::now())
+    /// Whether the robot is there; the first time it is told.
+    fn is_online(&mut self) -> bool {
+        let is_online = lock(&self.vehicle).is_online(Instant::now());
+        if is_online && !self.is_told {
+            self.is_told = true;
+            let (robot, topic) = (self.names.robot.clone(), self.names.topics.visualization.clone());
+            self.watch.tell(BridgeEvent::Vehicle { robot, topic });
+        }
+        is_online
     }
 
-    /// Whether the robot shut down in order; its status that says so may be on its way.
+    /// Whether the robot shut down in order; its status that says so may be on its way. Of one that was not heard of nothing else is known.
     async fn is_shut_down(&self) -> bool {
+        if !lock(&self.vehicle).is_heard() {
+            return true;
+        }
         let is_off = async {
             while !lock(&self.vehicle).is_off() {
                 sleep(LOOK / 4).await;
@@ -178,20 +234,20 @@ impl VehicleConnection {
 
     fn connect(&mut self) -> Connect {
         let BridgeSettings { user, manufacturer, announces, .. } = &*self.settings;
-        let mut connect = Connect::new(format!("driftless-{manufacturer}-{}", self.serial));
+        let mut connect = Connect::new(format!("driftless-{manufacturer}-{}", self.names.serial));
         if let Some(user) = user {
             connect.set_login(&user.name, &user.password);
         }
         if *announces {
             let will = self.connection(ConnectionState::ConnectionBroken);
-            let will = LastWill::new(&self.topics.connection, will, QoS::AtLeastOnce, true);
+            let will = LastWill::new(&self.names.topics.connection, will, QoS::AtLeastOnce, true);
             connect.last_will = Some(will);
         }
         connect
     }
 
     fn header(&self, header_id: u32) -> Header {
-        Header::new(header_id, SystemTime::now(), &self.settings.manufacturer, &self.serial)
+        Header::new(header_id, SystemTime::now(), &self.settings.manufacturer, &self.names.serial)
     }
 
     /// A message `connection` as JSON.
@@ -204,7 +260,10 @@ impl VehicleConnection {
     /// Whether the vehicle is connected, as a message; `None` where its own controller tells.
     fn announcement(&mut self, state: ConnectionState) -> Option<Publish> {
         let message = self.settings.announces.then(|| self.connection(state))?;
-        Some(Publish { retain: true, ..Publish::new(&self.topics.connection, QoS::AtLeastOnce, message) })
+        Some(Publish {
+            retain: true,
+            ..Publish::new(&self.names.topics.connection, QoS::AtLeastOnce, message)
+        })
     }
 
     fn publish_position(&mut self, messages: &Sender<Publish>) {
@@ -214,17 +273,26 @@ impl VehicleConnection {
         let vehicle = lock(&self.vehicle);
         let message =
             Visualization { header, agv_position: vehicle.position(now), velocity: vehicle.velocity(now) };
+        let tilt = vehicle.map_tilt().map(|(map, tilt_deg)| (map.to_owned(), tilt_deg));
         drop(vehicle);
-        publish(messages, Publish::new(&self.topics.visualization, QoS::AtMostOnce, written(&message)));
+        if let Some((map, tilt_deg)) = tilt
+            && !std::mem::replace(&mut self.is_tilt_told, true)
+        {
+            self.watch.tell(BridgeEvent::MapNotLevel { robot: self.names.robot.clone(), map, tilt_deg });
+        }
+        publish(messages, Publish::new(&self.names.topics.visualization, QoS::AtMostOnce, written(&message)));
     }
 }
 
 /// Ends a connection after what waits, and a last message, was sent and acknowledged.
+///
+/// # Errors
+/// What broke it before, or [`SessionError::Silent`]: the last messages may be lost.
 async fn say_goodbye(
     messages: Sender<Publish>,
     last: Option<Publish>,
     mut network: JoinHandle<Result<(), SessionError>>,
-) {
+) -> Result<(), SessionError> {
     let goodbye = async {
         if let Some(last) = last {
             // An error: the connection ended by itself.
@@ -234,11 +302,10 @@ async fn say_goodbye(
         (&mut network).await
     };
     match timeout(GOODBYE, goodbye).await {
-        Ok(Ok(Err(error))) => tracing::debug!("the last messages may be lost: {error}"),
-        Ok(_) => {}
+        Ok(ended) => ended.unwrap_or(Err(SessionError::Ended)),
         Err(_) => {
-            tracing::debug!("the broker did not take the last messages within {GOODBYE:?}");
             network.abort();
+            Err(SessionError::Silent)
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::messages::{AgvPosition, Velocity};
 use crate::quality::{deviation_range_m, localization_score};
-use geometry::{Pose, PoseWithCovariance};
+use geometry::{Pose, PoseWithCovariance, tilt_beyond_limit_deg};
 use nalgebra::Vector3;
 use protocol::{Presence, Published, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use std::time::{Duration, Instant};
@@ -50,6 +50,8 @@ pub struct Vehicle {
     odometry: Option<Received<RobotOdometry>>,
     status: Option<RobotStatus>,
     presence: Presence,
+    /// Whether anything was heard of it.
+    is_heard: bool,
 }
 
 impl Vehicle {
@@ -62,7 +64,18 @@ impl Vehicle {
             odometry: None,
             status: None,
             presence: Presence::new(now),
+            is_heard: true,
         }
+    }
+
+    /// A robot that nothing was heard of yet: it is not there.
+    pub(crate) fn expected(settings: VehicleSettings, now: Instant) -> Self {
+        Self { is_heard: false, ..Self::new(settings, now) }
+    }
+
+    /// Whether anything was heard of it.
+    pub(crate) fn is_heard(&self) -> bool {
+        self.is_heard
     }
 
     /// Notes a message of the robot.
@@ -70,6 +83,7 @@ impl Vehicle {
     /// # Arguments
     /// * `now`: when it came.
     pub fn note(&mut self, published: Published, now: Instant) {
+        self.is_heard = true;
         self.presence.note_published(&published, now);
         match published {
             Published::Pose(pose) => {
@@ -94,13 +108,14 @@ impl Vehicle {
 
     /// Notes that the robot's liveliness token came or went.
     pub fn note_token(&mut self, is_there: bool, now: Instant) {
+        self.is_heard |= is_there;
         self.presence.note_token(is_there, now);
         self.is_pose_valid &= is_there;
     }
 
     /// Whether the robot is there: it has a token, and published something in the last 5 s.
     pub fn is_online(&self, now: Instant) -> bool {
-        self.presence.is_online(now)
+        self.is_heard && self.presence.is_online(now)
     }
 
     /// Whether the robot's session ended: its token went, or it shut down.
@@ -116,16 +131,18 @@ impl Vehicle {
     /// Where the vehicle is in its map.
     ///
     /// The position is initialized where the robot is there, localized, and published a pose within
-    /// [`VehicleSettings::max_age`]. Where it is not, x, y and theta are the last known ones, with a score of 0 and no range.
+    /// [`VehicleSettings::max_age`] in a map whose z axis is vertical ([`Vehicle::map_tilt`]). Where it is not, x, y and theta are the last
+    /// known ones, with a score of 0 and no range.
     ///
     /// # Returns
-    /// x and y in the map's frame, whose z axis is taken for vertical, and the yaw of the vehicle's axes in it.
+    /// x and y in the map's frame, and the yaw of the vehicle's axes in it.
     pub fn position(&self, now: Instant) -> AgvPosition {
         let known = self.pose.as_ref();
         let is_valid = self.is_pose_valid
             && self.is_online(now)
             && self.status.as_ref().is_some_and(|status| status.state == RobotState::Localized)
-            && known.is_some_and(|pose| now.duration_since(pose.at) <= self.settings.max_age);
+            && known.is_some_and(|pose| now.duration_since(pose.at) <= self.settings.max_age)
+            && self.map_tilt().is_none();
         let global_from_base: Option<PoseWithCovariance> =
             known.map(|pose| pose.value.global_from_imu.change_of_child(&self.settings.imu_from_base));
         let (x, y, theta) = global_from_base.as_ref().map_or((0.0, 0.0, 0.0), |base| {
@@ -145,6 +162,15 @@ impl Vehicle {
             theta,
             map_id: known.map(|pose| pose.value.map.clone()).or_else(of_status).unwrap_or_default(),
         }
+    }
+
+    /// The map whose z axis is not vertical, by the last pose in it, and the angle between them, degrees; `None` within 5 degrees. x, y and
+    /// yaw in such a map are not those on the floor.
+    pub fn map_tilt(&self) -> Option<(&str, f64)> {
+        let pose = &self.pose.as_ref()?.value;
+        // z of the odometry frame is up.
+        let up_in_global = pose.global_from_local.pose.rotation * Vector3::z();
+        Some((pose.map.as_str(), tilt_beyond_limit_deg(&up_in_global)?))
     }
 
     /// How the vehicle moves, in its own axes; `None` without odometry of the last [`VehicleSettings::max_age`], or while the robot is lost.

@@ -1,10 +1,10 @@
 //! The bridge between a Zenoh session and a broker.
 
-use crate::broker::{Broker, Received};
+use crate::broker::{Broker, Message, Received};
 use crate::robot::{odometry, pose, status};
 use crate::schema::faults;
 use client::SessionOptions;
-use protocol::{Format, Message, RobotState, keys};
+use protocol::{Format, RobotState, keys};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -40,7 +40,7 @@ pub async fn start(settings: BridgeSettings) -> Running {
 }
 
 impl Running {
-    async fn publish<M: Message>(&self, key: String, message: &M) {
+    async fn publish<M: protocol::Message>(&self, key: String, message: &M) {
         let payload = protocol::encode(Format::Json, message).unwrap();
         self.session.put(key, payload).encoding(Format::Json.encoding()).await.unwrap();
     }
@@ -230,6 +230,53 @@ async fn a_broker_that_goes_is_tried_again_and_what_was_missed_is_not_sent_later
     assert!(after.payload["timestamp"].as_str() >= Some(&back), "{} {back}", after.payload);
     let reached = running.events().iter().filter(|event| **event == BridgeEvent::BrokerReached).count();
     assert_eq!(reached, 2, "{:?}", running.events());
+    driving.abort();
+    running.stop().await;
+}
+
+/// Whether a connection was for a goodbye only: what came of it.
+async fn goodbye(broker: &mut Broker) -> Message {
+    assert!(matches!(broker.next().await, Received::Connect { .. }));
+    let Received::Publish(message) = broker.next().await else { panic!("no message") };
+    assert!(message.topic.ends_with("/connection") && message.is_retained && message.qos == 1, "{message:?}");
+    assert_eq!(broker.next().await, Received::Disconnect);
+    message
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_went_while_the_broker_was_gone_does_not_stay_online_there() {
+    let mut broker = Broker::start(0, 0).await;
+    let (url, port) = (broker.url(), broker.address.port());
+    let running = start(settings(&url)).await;
+    let token = running.session.liveliness().declare_token("robot/cart7").await.unwrap();
+    let driving = running.drive("cart7");
+    broker.message("/connection", is_connection("ONLINE")).await;
+    // It is killed: nobody publishes the last will, and what it retained is on its disk.
+    broker.stop().await;
+    running.wait_for(|event| matches!(event, BridgeEvent::BrokerFailed { .. })).await;
+    driving.abort();
+    token.undeclare().await.unwrap();
+    sleep(Duration::from_millis(300)).await;
+    let mut broker = Broker::start(port, 0).await;
+    assert_eq!(goodbye(&mut broker).await.payload["connectionState"], "CONNECTIONBROKEN");
+    // Once.
+    sleep(Duration::from_secs(1)).await;
+    running.stop().await;
+    assert!(broker.is_idle());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_is_off_when_the_bridge_begins_does_not_stay_online_at_the_broker() {
+    let mut broker = Broker::start(0, 0).await;
+    let serials: BTreeMap<String, String> = [("cart7".to_owned(), "AGV-0007".to_owned())].into();
+    let running = start(BridgeSettings { serials, ..settings(&broker.url()) }).await;
+    let message = goodbye(&mut broker).await;
+    assert_eq!(message.topic, "uagv/v2/acme/AGV-0007/connection");
+    assert_eq!(message.payload["connectionState"], "OFFLINE");
+    assert!(running.events().iter().all(|event| !matches!(event, BridgeEvent::Vehicle { .. })));
+    let driving = running.drive("cart7");
+    broker.message("/connection", is_connection("ONLINE")).await;
+    broker.message("/visualization", is_initialized).await;
     driving.abort();
     running.stop().await;
 }

@@ -100,6 +100,11 @@ impl Broker {
         }
     }
 
+    /// Whether nothing came that was not looked at.
+    pub fn is_idle(&mut self) -> bool {
+        self.received.try_recv().is_err()
+    }
+
     /// Ends the broker and all its connections, and waits until its port is free.
     pub async fn stop(mut self) {
         self.serving.abort();

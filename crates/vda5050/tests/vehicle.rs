@@ -146,3 +146,24 @@ fn headings_are_between_minus_pi_and_pi() {
         assert!(theta.abs() <= PI && ((theta - yaw).sin()).abs() < 1e-9, "{yaw}: {theta}");
     }
 }
+
+#[test]
+fn a_position_in_a_map_that_is_not_level_is_not_initialized() {
+    let now = Instant::now();
+    for (tilt_deg, is_level) in [(4.9_f64, true), (11.3, false), (90.0, false), (180.0, false)] {
+        let mut vehicle = localized(&VehicleSettings::default(), now);
+        let mut tilted = pose(2, 3.0, 0.3);
+        let tilt = UnitQuaternion::from_euler_angles(tilt_deg.to_radians(), 0.0, 0.0);
+        tilted.global_from_local.pose.rotation = tilt * tilted.global_from_local.pose.rotation;
+        vehicle.note(Published::Pose(Box::new(tilted)), now);
+        let position = vehicle.position(now);
+        assert_eq!(position.position_initialized, is_level, "{tilt_deg}");
+        assert_eq!(is_unknown(&position), !is_level);
+        match vehicle.map_tilt() {
+            None => assert!(is_level),
+            Some((map, stated_deg)) => {
+                assert!(map == "hall" && (stated_deg - tilt_deg).abs() < 1e-6, "{stated_deg}");
+            }
+        }
+    }
+}

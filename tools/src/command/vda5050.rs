@@ -173,6 +173,10 @@ pub fn run(args: &Args) -> Result<()> {
     let tell = move |event: BridgeEvent| match event {
         BridgeEvent::Vehicle { robot, topic } => println!("{robot}: {topic}"),
         BridgeEvent::Refused(error) => eprintln!("a robot is not published: {error}"),
+        BridgeEvent::MapNotLevel { robot, map, tilt_deg } => eprintln!(
+            "{robot}: the z axis of the map {map} is {tilt_deg:.1} degrees off the vertical: its positions are published as not initialized; build the map \
+             from reference poses with z up, or without any"
+        ),
         BridgeEvent::TooManyRobots { limit } => eprintln!(
             "there are names of more than {limit} robots: those that came later are not published. Name the robots (--robot)"
         ),
