@@ -74,7 +74,7 @@ impl Estimate {
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct StatusReport {
-    /// Time of the image on the estimator's clock, nanoseconds; `None` before the first image, which tells the time of the
+    /// Time of the image on the estimator's clock, or of now where none comes, nanoseconds; `None` before the first image, which tells the time of the
     /// sensors.
     pub stamp_ns: Option<i64>,
     /// Whether the pose can be used, and why.

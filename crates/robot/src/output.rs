@@ -145,7 +145,7 @@ pub trait Output {
     }
 
     /// How the robot is: at every image, while there is no estimate as well, and a few times a second where a live source
-    /// has no images.
+    /// has no images: once the newest estimate is older than a second, the robot is lost until the next one.
     fn status(&mut self, report: &StatusReport) {
         let _ = report;
     }

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// Longest prediction: without a newer state nothing is published after it, nanoseconds. A second without images is a
 /// decimetre.
-const HORIZON_NS: i64 = 1_000_000_000;
+pub(crate) const HORIZON_NS: i64 = 1_000_000_000;
 /// Readings are kept for a state that is computed late, nanoseconds.
 const KEPT_NS: i64 = 2 * HORIZON_NS;
 /// How soon the thread notices the end where no readings come.

@@ -203,7 +203,7 @@ impl<'a> Robot<'a> {
                 NextFrame::Tick => {
                     self.connect_when_open();
                     let now_ns = last_ns + last_frame.elapsed().as_nanos() as i64;
-                    self.give_status(first_ns.map(|_| now_ns));
+                    self.give_status_without_image(first_ns.map(|_| now_ns));
                     self.update_alarms((now_ns - first_ns.unwrap_or(0)) as f64 * 1e-9);
                     continue;
                 }

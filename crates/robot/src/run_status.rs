@@ -2,8 +2,9 @@
 
 use super::estimate::StatusReport;
 use super::input::SensorFault;
+use super::prediction::HORIZON_NS;
 use super::run::Robot;
-use estimator::{Alarm, Estimator, GnssFault, NoiseFault, Status, StatusReason, WheelFault};
+use estimator::{Alarm, Estimator, GnssFault, Localization, NoiseFault, Status, StatusReason, WheelFault};
 use protocol::limits::MAX_TEXT_BYTES;
 use std::mem::{Discriminant, discriminant};
 
@@ -49,12 +50,21 @@ impl Robot<'_> {
 
     /// The status, with why the map does not answer and what is wrong with the readings and with outputs.
     pub(crate) fn status(&self) -> Status {
+        self.status_at(None)
+    }
+
+    /// The same at a time after the newest state, nanoseconds; `None` for that of the state.
+    fn status_at(&self, now_ns: Option<i64>) -> Status {
         let mut status = self.supervisor.status();
         let unmatched = StatusReason::NoMatchYet.to_string();
         if !self.map.has_map()
             && let Some(rest) = status.reason.strip_prefix(&unmatched)
         {
             status.reason = format!("{NO_MAP}{rest}");
+        }
+        if let (Some(now_ns), Some(estimator)) = (now_ns, self.supervisor.estimator()) {
+            let (_, reason) = estimator.localization();
+            grow_old(&mut status, reason, now_ns.saturating_sub(estimator.stamp_ns()));
         }
         let failure = self.map.last_failure.as_ref();
         let failure = failure.map(|failure| format!("the map does not answer: {failure}"));
@@ -96,9 +106,72 @@ impl Robot<'_> {
         }
     }
 
+    /// Gives out the status where no image comes.
+    ///
+    /// # Arguments
+    /// * `now_ns`: time on the clock of the estimator, nanoseconds; `None` before the first image.
+    pub(crate) fn give_status_without_image(&mut self, now_ns: Option<i64>) {
+        let report = StatusReport { status: self.status_at(now_ns), ..self.status_report(now_ns) };
+        self.outputs.each(|output| output.status(&report));
+    }
+
     /// Gives out the status where there is no pose.
     pub(crate) fn give_status(&mut self, stamp_ns: Option<i64>) {
         let report = self.status_report(stamp_ns);
         self.outputs.each(|output| output.status(&report));
+    }
+}
+
+/// Makes a status that of a time after its state: a correction is longer ago, and beyond the horizon of the prediction there is no pose.
+///
+/// # Arguments
+/// * `reason`: the reason of the state that the status begins with.
+/// * `age_ns`: of the state, nanoseconds.
+fn grow_old(status: &mut Status, reason: StatusReason, age_ns: i64) {
+    let age_s = age_ns as f64 * 1e-9;
+    let older = match reason {
+        StatusReason::MapUpdate { seconds_ago } => {
+            StatusReason::MapUpdate { seconds_ago: seconds_ago + age_s }
+        }
+        StatusReason::GnssUpdate { seconds_ago } => {
+            StatusReason::GnssUpdate { seconds_ago: seconds_ago + age_s }
+        }
+        other => other,
+    };
+    if let Some(rest) = status.reason.strip_prefix(&reason.to_string()) {
+        status.reason = format!("{older}{rest}");
+    }
+    if age_ns > HORIZON_NS && status.localization.is_usable() {
+        status.localization = Localization::Lost;
+        status.reason =
+            format!("no image was used for {age_s:.1} s: the pose is not known any more; {}", status.reason);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_grows_old_with_its_state() {
+        let of = |localization, reason: StatusReason, age_s: f64| {
+            let text = format!("{reason}; an alarm");
+            let mut status =
+                Status { localization, reason: text, last_map_update_ns: None, held_keyframes: 0 };
+            grow_old(&mut status, reason, (age_s * 1e9) as i64);
+            (status.localization, status.reason)
+        };
+        let corrected = StatusReason::MapUpdate { seconds_ago: 0.3 };
+        let (localization, reason) = of(Localization::Localized, corrected, 0.9);
+        assert_eq!(localization, Localization::Localized);
+        assert_eq!(reason, "the map corrected the pose 1.2 s ago; an alarm");
+        let (localization, reason) = of(Localization::Localized, corrected, 5.0);
+        assert_eq!(localization, Localization::Lost);
+        assert!(reason.starts_with("no image was used for 5.0 s"), "{reason}");
+        assert!(reason.ends_with("; the map corrected the pose 5.3 s ago; an alarm"), "{reason}");
+        assert_eq!(of(Localization::OdometryOnly, StatusReason::NoMatchYet, 5.0).0, Localization::Lost);
+        let contradicted = StatusReason::Contradicted { rejections: 5 };
+        let (localization, reason) = of(Localization::Lost, contradicted, 5.0);
+        assert_eq!((localization, reason), (Localization::Lost, format!("{contradicted}; an alarm")));
     }
 }

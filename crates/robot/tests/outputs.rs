@@ -1,10 +1,14 @@
 //! What a run gives out, and in which order.
 
+use estimator::Localization;
 use robot::{Estimate, Output, Robot, RobotError, RobotSettings, RunError, RunReport, StatusReport};
-use sensors::{Frame, ImuSample, Recording, SensorSource as _, Sequence};
+use sensors::live::{LiveFrames, LiveInputs, LiveSettings, LiveSource};
+use sensors::{Frame, ImuSample, Recording, SensorEvent, SensorSource as _, Sequence};
 use simulation::{SimulationOptions, simulate};
 use std::cell::RefCell;
+use std::ops::Range;
 use std::rc::Rc;
+use std::time::{Duration, Instant};
 
 /// A call of an output, with the time that it is about.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -217,4 +221,62 @@ fn a_robot_without_a_camera_is_refused() {
     let mut source = recording.source().unwrap();
     assert!(source.calibration().cameras.is_empty());
     assert!(matches!(Robot::new(&mut source, settings), Err(RobotError::NoCamera)));
+}
+
+/// Keeps the states that it is told, each once in a row, with their first reasons.
+#[derive(Default)]
+struct States(Vec<(Localization, String)>);
+
+impl Output for States {
+    fn status(&mut self, report: &StatusReport) {
+        let status = &report.status;
+        if self.0.last().is_none_or(|(last, _)| *last != status.localization) {
+            self.0.push((status.localization, status.reason.clone()));
+        }
+    }
+}
+
+/// Plays a recording in real time, without images of some seconds since its begin.
+fn play(sequence: &Sequence, inputs: &LiveInputs, without: Range<f64>) {
+    let recording = Recording::from(sequence);
+    let mut source = recording.source().unwrap();
+    let (begin, mut first_ns) = (Instant::now(), None);
+    while let Some(event) = source.next().unwrap() {
+        let Some(stamp_ns) = event.stamp_ns() else { continue };
+        let seconds = (stamp_ns - *first_ns.get_or_insert(stamp_ns)) as f64 * 1e-9;
+        let due = begin + Duration::from_secs_f64(seconds.max(0.0));
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        match event {
+            SensorEvent::Imu(reading) => inputs.imu(reading),
+            SensorEvent::Frame(frame) if !without.contains(&seconds) => {
+                inputs.tracks(frame.stamp_ns, frame.tracks, None);
+            }
+            _ => {}
+        }
+    }
+    inputs.close();
+}
+
+#[test]
+fn a_live_robot_without_images_is_lost_until_the_next_one() {
+    let sequence = sequence();
+    let calibration = Recording::from(&sequence).calibration().clone();
+    let mut live = LiveSettings::images(&calibration);
+    live.frames = LiveFrames::Tracks { features: false };
+    let (inputs, mut source) = LiveSource::new("live", calibration, &live);
+    let mut states = States::default();
+    std::thread::scope(|scope| {
+        scope.spawn(|| play(&sequence, &inputs, 2.5..4.2));
+        let mut robot = Robot::new(&mut source, settings(&sequence)).unwrap();
+        robot.add_output(&mut states);
+        let _ = robot.run(|_| {});
+    });
+    let [.., (before, _), (without, reason), (after, _)] = &states.0[..] else { panic!("{:?}", states.0) };
+    assert_eq!(
+        [before, without, after],
+        [&Localization::OdometryOnly, &Localization::Lost, &Localization::OdometryOnly],
+        "{:?}",
+        states.0
+    );
+    assert!(reason.starts_with("no image was used for 1."), "{reason}");
 }
