@@ -50,6 +50,7 @@ fn metrics_count_what_the_summary_and_the_statistics_count() {
     assert_eq!(value(&of_robot, "robot_queries_sent_total"), queries.sent);
     assert_eq!(value(&of_robot, r#"robot_localization{state="localized"}"#), 1);
     assert_eq!(value(&of_robot, r#"robot_localization{state="lost"}"#), 0);
+    assert_eq!(value(&of_robot, "robot_healthy"), 1);
     let health = switches.metrics.health();
     assert!(health.is_well && health.reason.contains("the map corrected"), "{health:?}");
 

@@ -2,10 +2,11 @@
 
 use estimator::{Localization, Status};
 use monitoring::Health;
-use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, EncodeMetric as _};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
-use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 use robot::counts::QuerySummary;
@@ -93,6 +94,7 @@ impl RobotMetrics {
             self.answers_accepted.clone(),
         );
         registry.register("localization", "1 for the present state, else 0", self.localization.clone());
+        registry.register_collector(Box::new(HealthGauge(self.clone())));
         registry.register("held_keyframes", "Keyframes held in the estimator", self.held_keyframes.clone());
     }
 
@@ -129,6 +131,19 @@ impl RobotMetrics {
     }
 }
 
+/// The health of the time at which metrics are asked for: an estimator that hangs sets nothing.
+#[derive(Debug)]
+struct HealthGauge(RobotMetrics);
+
+impl Collector for HealthGauge {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> std::fmt::Result {
+        let gauge = ConstGauge::new(i64::from(self.0.health().is_well));
+        let help = "1 where /health answers that the robot is well, else 0";
+        let encoder = encoder.encode_descriptor("healthy", help, None, gauge.metric_type())?;
+        gauge.encode(encoder)
+    }
+}
+
 impl Output for RobotMetrics {
     fn estimate(&mut self, estimate: &Estimate) {
         self.frames.inc();
@@ -158,11 +173,20 @@ mod tests {
     #[test]
     fn an_old_status_is_no_sign_of_health() {
         let metrics = RobotMetrics::default();
+        let mut registry = Registry::default();
+        metrics.register(&mut registry);
+        let is_shown = |value: u8| {
+            let mut text = String::new();
+            prometheus_client::encoding::text::encode(&mut text, &registry).unwrap();
+            assert!(text.contains(&format!("\nrobot_healthy {value}\n")), "{text}");
+        };
+        is_shown(0);
         let (localization, reason) = (Localization::Localized, "fine".to_owned());
         let status = Status { localization, reason, last_map_update_ns: None, held_keyframes: 0 };
         metrics.note_status(&status, &QuerySummary::default());
         let now = Instant::now();
         assert!(metrics.health_at(now).is_well);
+        is_shown(1);
         let later = metrics.health_at(now + STALE + Duration::from_secs(1));
         assert!(!later.is_well && later.reason.contains("5 s"), "{later:?}");
     }
