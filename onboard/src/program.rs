@@ -350,6 +350,7 @@ impl FinishedRun {
             reinitializations,
             starts: report.starts,
             divergences: report.divergences,
+            clock_shifts: report.clock_shifts,
             learned_noise: report.learned_noise,
             readout_times_s: report.readout_times_s,
             wheels: report.wheels,

@@ -15,7 +15,11 @@ from .tracks import Track, read_euroc, read_states
 
 
 class Run:
-    """Results of a run. Files are read when they are first asked for."""
+    """Results of a run. Files are read when they are first asked for.
+
+    Times are those of the sensors, jumps of their clock included (`summary["clock_shifts"]`). Where that was set back, the
+    states and queries of before are in the folder `earlier`, which is a run, too.
+    """
 
     def __init__(self, folder: str | PathLike[str]):
         self.folder: Path = Path(folder)

@@ -165,6 +165,15 @@ pub struct StartSummary {
     pub sigma_scale: Option<f64>,
 }
 
+/// A jump of the clock of the sensors, which the clock of the estimator does not follow.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ClockShiftSummary {
+    /// Time since the first frame on the clock of the estimator, seconds.
+    pub seconds: f64,
+    /// What the clock of the sensors is ahead of that of the estimator from then on, seconds.
+    pub shift_s: f64,
+}
+
 /// A divergence of the filter.
 #[derive(Clone, Debug, Serialize)]
 pub struct DivergenceSummary {

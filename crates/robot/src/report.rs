@@ -2,8 +2,8 @@
 
 use super::alarms::Alarm;
 use super::counts::{
-    DivergenceSummary, ImuGapSummary, MapChangeSummary, PairSummary, QuerySummary, StartSummary, Timings,
-    TrackSummary, Traffic,
+    ClockShiftSummary, DivergenceSummary, ImuGapSummary, MapChangeSummary, PairSummary, QuerySummary,
+    StartSummary, Timings, TrackSummary, Traffic,
 };
 use super::error::RunError;
 use super::event::Event;
@@ -58,6 +58,8 @@ pub struct RunReport {
     pub starts: Vec<StartSummary>,
     /// Divergences of the filter.
     pub divergences: Vec<DivergenceSummary>,
+    /// Jumps of the clock of the sensors.
+    pub clock_shifts: Vec<ClockShiftSummary>,
     /// Alarms; listed at the end.
     pub alarms: Vec<Alarm>,
     /// Status at the end.

@@ -1,5 +1,6 @@
 //! What a run says of itself: its status, and its alarms.
 
+use super::counts::ClockShiftSummary;
 use super::estimate::StatusReport;
 use super::input::SensorFault;
 use super::prediction::HORIZON_NS;
@@ -85,6 +86,9 @@ impl Robot<'_> {
         self.report.dropped_frames = report.dropped_frames;
         if report.clock_shift_ns != self.faults.live.clock_shift_ns {
             self.outputs.each(|output| output.set_clock_shift(report.clock_shift_ns));
+            let newest_ns = self.report.last_state_ns.unwrap_or(self.report.first_ns);
+            let (seconds, shift_s) = (self.report.seconds_at(newest_ns), report.clock_shift_ns as f64 * 1e-9);
+            self.report.clock_shifts.push(ClockShiftSummary { seconds, shift_s });
         }
         if report.best_effort != self.faults.live.best_effort {
             self.outputs.each(|output| output.set_best_effort(&report.best_effort));

@@ -10,6 +10,8 @@
 //! Buffers are flushed once a second of sensor time: a run that is killed leaves what it had. `summary.json` exists
 //! only if the run ended in good order.
 //!
+//! Times are those of the sensors, jumps of their clock included. Where it is set back, new files begin, so that the rows of one are in order of time.
+//!
 //! A robot that drives for weeks, or is started again and again, keeps the folder below a limit: what was there before is moved to its
 //! folder `earlier`, and so are files that have reached half of the limit.
 
@@ -75,6 +77,8 @@ pub(crate) struct OutputFiles {
     limit: Option<u64>,
     writers: Writers,
     flushed_ns: Option<i64>,
+    /// Time of the last state in the files.
+    last_ns: Option<i64>,
     /// Whether the first states of the run are among the earlier files, or gone.
     is_cut: bool,
 }
@@ -105,14 +109,26 @@ impl OutputFiles {
             std::fs::remove_file(&summary).map_err(|source| io(&summary, source))?;
         }
         let writers = Writers::create(folder)?;
-        Ok(Self { folder: folder.to_path_buf(), limit, writers, flushed_ns: None, is_cut: false })
+        Ok(Self {
+            folder: folder.to_path_buf(),
+            limit,
+            writers,
+            flushed_ns: None,
+            last_ns: None,
+            is_cut: false,
+        })
     }
 
-    /// Appends the state of a frame.
+    /// Appends the state of a frame; one that is earlier than the last begins new files.
     ///
     /// # Errors
     /// [`OutputError`] with the file.
     pub(crate) fn append_state(&mut self, row: &StateRow) -> Result<(), OutputError> {
+        if self.last_ns.replace(row.stamp_ns).is_some_and(|last_ns| row.stamp_ns < last_ns) {
+            self.flush()?;
+            self.begin_new_files()?;
+            self.flushed_ns = None;
+        }
         for (kind, writer) in &mut self.writers.trajectories {
             if let Some(state) = row.get(*kind) {
                 writer.append(&StampedPose { stamp_ns: row.stamp_ns, pose: state.pose })?;
@@ -151,10 +167,15 @@ impl OutputFiles {
     fn keep_below_limit(&mut self) -> Result<(), OutputError> {
         let is_full = |limit: u64| written(&self.folder).map(|path| bytes(&path)).sum::<u64>() >= limit / 2;
         if self.limit.is_some_and(is_full) {
-            keep_earlier(&self.folder)?;
-            self.writers = Writers::create(&self.folder)?;
-            self.is_cut = true;
+            self.begin_new_files()?;
         }
+        Ok(())
+    }
+
+    fn begin_new_files(&mut self) -> Result<(), OutputError> {
+        keep_earlier(&self.folder)?;
+        self.writers = Writers::create(&self.folder)?;
+        self.is_cut = true;
         Ok(())
     }
 
@@ -292,5 +313,18 @@ mod tests {
         run(None, 20);
         assert_eq!(stamps(&folder.path().join(EARLIER)), [0, 1, 2, 3, 4]);
         assert_eq!(stamps(folder.path()), [20, 21, 22, 23, 24]);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_begins_new_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut files = OutputFiles::create(folder.path(), Some(1_000_000)).unwrap();
+        for at in [0, 1, 50, 3, 4, 100] {
+            files.append_state(&row(at)).unwrap();
+        }
+        files.flush().unwrap();
+        assert!(files.is_cut());
+        assert_eq!(stamps(&folder.path().join(EARLIER)), [0, 1, 50]);
+        assert_eq!(stamps(folder.path()), [3, 4, 100]);
     }
 }

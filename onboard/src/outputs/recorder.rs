@@ -12,6 +12,8 @@ pub struct Recorder {
     files: OutputFiles,
     /// The newest state, not written yet: map updates after the frame replace it.
     newest: Option<StateRow>,
+    /// Added to all times, nanoseconds: those of the sensors are written.
+    clock_shift_ns: i64,
     /// The first error of writing; the files are incomplete then.
     error: Option<OutputError>,
 }
@@ -25,7 +27,7 @@ impl Recorder {
     /// # Errors
     /// [`OutputError`] with the file.
     pub fn create(folder: &Path, limit: Option<u64>) -> Result<Self, OutputError> {
-        Ok(Self { files: OutputFiles::create(folder, limit)?, newest: None, error: None })
+        Ok(Self { files: OutputFiles::create(folder, limit)?, newest: None, clock_shift_ns: 0, error: None })
     }
 
     fn write_newest(&mut self) {
@@ -74,7 +76,7 @@ impl Output for Recorder {
 
     fn revise(&mut self, estimate: &Estimate) {
         self.newest = Some(StateRow {
-            stamp_ns: estimate.motion.stamp_ns,
+            stamp_ns: estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns),
             local_from_imu: estimate.motion.local_from_imu(),
             global_from_local: estimate.trusted().map(|global| global.global_from_local),
             global_from_imu: estimate.trusted().map(|global| global.global_from_imu),
@@ -82,7 +84,85 @@ impl Output for Recorder {
     }
 
     fn query(&mut self, event: &Event) {
-        let written = self.files.append_event(event);
+        let shift_s = self.clock_shift_ns as f64 * 1e-9;
+        let event = Event {
+            stamp_ns: event.stamp_ns.saturating_add(self.clock_shift_ns),
+            queried_at_s: event.queried_at_s + shift_s,
+            applied_at_s: event.applied_at_s + shift_s,
+            ..event.clone()
+        };
+        let written = self.files.append_event(&event);
         self.keep_first_error(written);
+    }
+
+    fn set_clock_shift(&mut self, shift_ns: i64) {
+        self.clock_shift_ns = shift_ns;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::files::{EVENTS, STATES};
+    use super::*;
+    use estimator::Motion;
+    use estimator::propagation::{ImuMatrix, ImuState};
+    use evaluation::trajectory::states::StateReader;
+    use geometry::Pose;
+    use nalgebra::Vector3;
+
+    const SECOND_NS: i64 = 1_000_000_000;
+
+    fn estimate(stamp_ns: i64) -> Estimate {
+        let state = ImuState {
+            local_from_imu: Pose::identity(),
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
+        };
+        let motion = Motion {
+            stamp_ns,
+            state,
+            covariance: ImuMatrix::identity(),
+            angular_velocity: Vector3::zeros(),
+            angular_velocity_variance: 0.0,
+        };
+        Estimate::new(motion, None, true)
+    }
+
+    fn event(stamp_ns: i64) -> Event {
+        Event {
+            stamp_ns,
+            queried_at_s: stamp_ns as f64 * 1e-9,
+            applied_at_s: stamp_ns as f64 * 1e-9 + 0.5,
+            outcome: "matched".to_owned(),
+            keyframes: 1,
+            matches: 20,
+            inliers: 20,
+            used: 20,
+            mean_reprojection_px: None,
+            relinearized: false,
+            accepted: true,
+            reason: String::new(),
+            nis: None,
+            nis_degrees: None,
+        }
+    }
+
+    #[test]
+    fn times_have_the_jumps_of_the_clock_of_the_sensors() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = Recorder::create(folder.path(), None).unwrap();
+        recorder.estimate(&estimate(SECOND_NS));
+        recorder.set_clock_shift(3600 * SECOND_NS);
+        recorder.query(&event(SECOND_NS));
+        recorder.estimate(&estimate(2 * SECOND_NS));
+        recorder.finish_states().unwrap();
+        let states = StateReader::open(&folder.path().join(STATES)).unwrap();
+        let stamps: Vec<i64> = states.map(|row| row.unwrap().stamp_ns).collect();
+        assert_eq!(stamps, [SECOND_NS, 3602 * SECOND_NS]);
+        let mut events = csv::Reader::from_path(folder.path().join(EVENTS)).unwrap();
+        let written: Event = events.deserialize().next().unwrap().unwrap();
+        let expected = (3601 * SECOND_NS, 3601.0, 3601.5);
+        assert_eq!((written.stamp_ns, written.queried_at_s, written.applied_at_s), expected);
     }
 }

@@ -5,8 +5,8 @@ use estimator::{Estimated, EstimatorConfig, GnssCounts, LearnedNoise, Status, Wh
 use evaluation::RunScore;
 use robot::Alarm;
 use robot::counts::{
-    DivergenceSummary, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary, QuerySummary,
-    StartSummary, TrackSummary, Traffic,
+    ClockShiftSummary, DivergenceSummary, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary,
+    QuerySummary, StartSummary, TrackSummary, Traffic,
 };
 use serde::Serialize;
 
@@ -100,6 +100,8 @@ pub struct Summary {
     pub starts: Vec<StartSummary>,
     /// Divergences, after each of which the filter was initialized again.
     pub divergences: Vec<DivergenceSummary>,
+    /// Jumps of the clock of the sensors, whose times the files have.
+    pub clock_shifts: Vec<ClockShiftSummary>,
     /// Noise levels that the filter learned, or that the settings fixed; none where it was never initialized.
     pub learned_noise: Option<LearnedNoise>,
     /// Readout time of each camera's rolling shutter at the end, seconds, with its standard deviation, 0 where it was not estimated;
