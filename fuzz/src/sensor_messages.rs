@@ -5,12 +5,13 @@ use protocol::sensors::{ImageHeader, TracksMessage, decode_imu};
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
+use ros_messages::rosgraph_msgs::Clock;
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState, NavSatFix};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, decode, encode};
 use sensors::live::{LiveImage, LiveSettings, LiveSource, RawPixels};
-use sensors::ros::{camera_of_info, imu_sample};
-use sensors::{ImuSample, SensorCalibration, SensorEvent, SensorSource};
+use sensors::ros::{JointReader, camera_of_info, imu_sample, satellite_position};
+use sensors::{BaseKind, ImuSample, SensorCalibration, SensorEvent, SensorSource};
 use std::path::Path;
 
 /// Size of the images in the seeds, and what the camera is calibrated for.
@@ -87,6 +88,21 @@ pub fn ros_messages(data: &[u8]) {
     {
         camera.validate().expect("a camera that was read is valid");
     }
+    if let Some(message) = round_trip::<NavSatFix>(data)
+        && let Ok(position) = satellite_position(&message)
+    {
+        assert!(
+            position.geodetic.iter().all(|value| value.is_finite()),
+            "a position that was read is finite"
+        );
+    }
+    if let Some(message) = round_trip::<JointState>(data) {
+        let mut reader = JointReader::new(BaseKind::Differential, None, None);
+        for stamp_ns in [0, 1] {
+            let _ = reader.reading(stamp_ns, &message);
+        }
+    }
+    round_trip::<Clock>(data);
     round_trip::<PoseWithCovarianceStamped>(data);
     round_trip::<TFMessage>(data);
     round_trip::<Odometry>(data);

@@ -7,7 +7,7 @@
 mod example_session;
 
 use bags::{BagWriter, Format, MessageType, OfferedQos};
-use driftless_fuzz::{TARGETS, bincode_payloads};
+use driftless_fuzz::{TARGETS, bincode_payloads, colmap_files};
 use map::file::SegmentWriter;
 use map::file::record::{Element as _, seal};
 use rand::rngs::StdRng;
@@ -71,8 +71,8 @@ macro_rules! targets {
 }
 
 targets! {
-    protocol_bincode, protocol_json, sensor_yaml, csv_tables, images, sqlite_bags, http_heads, store_records, sensor_messages,
-    ros_messages, session_files, weights,
+    protocol_bincode, protocol_json, sensor_yaml, csv_tables, images, sqlite_bags, mcap_bags, rosbag1_bags, colmap_models, http_heads,
+    store_records, sensor_messages, ros_messages, session_files, weights,
 }
 
 #[test]
@@ -93,7 +93,9 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
             path.extension().is_some_and(|end| end == "cdr")
         }),
         "images" => pictures(),
-        "sqlite_bags" => recordings(),
+        "sqlite_bags" => recordings(Format::Rosbag2),
+        "mcap_bags" => [recordings(Format::Mcap), files(&root.join("corpus/mcap_bags"))].concat(),
+        "colmap_models" => models(&root.join("../crates/map_io/tests/data")),
         "session_files" => vec![session()],
         "weights" => vec![tensors()],
         other => files(&root.join("corpus").join(other)),
@@ -123,18 +125,36 @@ fn tensors() -> Vec<u8> {
     [&(header.len() as u64).to_le_bytes()[..], header, &[0x3f; 28]].concat()
 }
 
-/// A file of rosbag2 as this project writes it.
-fn recordings() -> Vec<Vec<u8>> {
+/// A recording as this project writes it.
+fn recordings(format: Format) -> Vec<Vec<u8>> {
     let folder = tempfile::tempdir().unwrap();
-    let recorded = folder.path().join("recorded");
+    let recorded = folder.path().join("recorded.mcap");
     let of = MessageType { name: "std_msgs/msg/String", hash: "", definition: "string data".to_owned() };
-    let mut writer = BagWriter::create(&recorded, Format::Rosbag2).unwrap();
+    let mut writer = BagWriter::create(&recorded, format).unwrap();
     let topic = writer.topic("/words", &of, OfferedQos::default()).unwrap();
     for at in 0..5 {
         writer.write(topic, 1000 * at, &[0, 1, 0, 0, 2, 0, 0, 0, b'a', 0]).unwrap();
     }
     writer.finish().unwrap();
+    if format == Format::Mcap {
+        return vec![std::fs::read(&recorded).unwrap()];
+    }
     of_kind(&recorded, |path| path.extension().is_some_and(|end| end == "db3"))
+}
+
+/// Models that COLMAP wrote, binary and text: the three files of each, as `colmap_files` divides them.
+fn models(data: &Path) -> Vec<Vec<u8>> {
+    let kinds =
+        ["colmap_model", "colmap_lenses"].iter().flat_map(|model| ["bin", "txt"].map(|kind| (model, kind)));
+    let joined = kinds.map(|(model, kind)| {
+        let parts = ["cameras", "images", "points3D"]
+            .map(|name| std::fs::read(data.join(model).join(name).with_extension(kind)).unwrap());
+        let lengths = [&parts[0], &parts[1]].map(|part| u16::try_from(part.len()).unwrap().to_le_bytes());
+        let seed = [&kind.as_bytes()[..1], &lengths.concat(), &parts.concat()].concat();
+        assert_eq!(colmap_files(&seed), (kind, [&*parts[0], &*parts[1], &*parts[2]]));
+        seed
+    });
+    joined.collect()
 }
 
 /// A session file of two chunks.

@@ -4,7 +4,9 @@ use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::nav_msgs::{OccupancyGrid, Odometry, Path as RosPath};
 use ros_messages::rosgraph_msgs::Clock;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, PointCloud2};
+use ros_messages::sensor_msgs::{
+    CameraInfo, CompressedImage, Image, Imu, JointState, NavSatFix, PointCloud2,
+};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, decode, encode};
 use serde::Deserialize;
@@ -44,4 +46,6 @@ fn every_message_has_the_bytes_of_ros() {
     equals_ros::<RosPath>();
     equals_ros::<OccupancyGrid>();
     equals_ros::<PointCloud2>();
+    equals_ros::<NavSatFix>();
+    equals_ros::<JointState>();
 }

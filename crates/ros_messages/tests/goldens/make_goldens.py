@@ -23,6 +23,7 @@ BY_RCLPY = [
     "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo",
     "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", "diagnostic_msgs/msg/DiagnosticArray",
     "rosgraph_msgs/msg/Clock", "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/JointState",
 ]  # fmt: skip
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -138,7 +139,7 @@ def to_rosbags(name, fields):
         elif kind in ("ARRAY", "SEQUENCE"):
             if detail[0][0].name == "NAME":
                 value = [to_rosbags(detail[0][1], element) for element in value]
-            else:
+            elif detail[0][1][0] != "string":
                 value = numpy.array(value, dtype=detail[0][1][0])
         arguments[field] = value
     return STORE.types[name](**arguments)
