@@ -86,7 +86,6 @@ pub fn options(seed: u64) -> SimulationOptions {
         seed,
         map_trajectory: Some(ring(phase, -0.5)),
         live_trajectory: Some(ring(phase + 2.0, 0.6)),
-        max_tracks: 60,
         live_feature_period_s: 0.5,
         dropout_fraction: 0.2,
         ..SimulationOptions::default()
