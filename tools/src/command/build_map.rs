@@ -259,7 +259,7 @@ pub(crate) fn build(
         let extraction = extraction_of(&mut extractors, &masks, cameras, args);
         if let Some(stored) = stored {
             let (contents, report) = extend_map(stored, &sequence, &odometry, extraction, &options, show)?;
-            (contents, Report::Extended(report))
+            (contents, Report::Extended(Box::new(report)))
         } else {
             let (contents, report) =
                 build_map_from_odometry(&sequence, &odometry, &priors, extraction, &options, show)?;
@@ -296,7 +296,7 @@ pub(crate) struct Built {
 #[serde(untagged)]
 pub(crate) enum Report {
     Built(Box<BuildReport>),
-    Extended(ExtensionReport),
+    Extended(Box<ExtensionReport>),
 }
 
 impl Report {
