@@ -154,9 +154,10 @@ impl VehicleConnection {
         let (messages, waiting) = channel(QUEUE);
         // It must not be cancelled at any place, so that it has a task of its own.
         let mut network = tokio::spawn(session.run(waiting));
-        let end = match self.is_online() {
-            true => self.publish_while_online(&messages, &mut network, stopped).await?,
-            false => End::Gone,
+        let end = if self.is_online() {
+            self.publish_while_online(&messages, &mut network, stopped).await?
+        } else {
+            End::Gone
         };
         let is_in_order = end == End::Stopped || self.is_shut_down().await;
         let state = if is_in_order { ConnectionState::Offline } else { ConnectionState::ConnectionBroken };
@@ -301,13 +302,11 @@ async fn say_goodbye(
         drop(messages);
         (&mut network).await
     };
-    match timeout(GOODBYE, goodbye).await {
-        Ok(ended) => ended.unwrap_or(Err(SessionError::Ended)),
-        Err(_) => {
-            network.abort();
-            Err(SessionError::Silent)
-        }
+    if let Ok(ended) = timeout(GOODBYE, goodbye).await {
+        return ended.unwrap_or(Err(SessionError::Ended));
     }
+    network.abort();
+    Err(SessionError::Silent)
 }
 
 /// Sends a message; it is dropped where the network is slow or gone: newer ones follow.

@@ -37,7 +37,7 @@ pub fn write_model(
     }
     let model = Model::new(contents);
     let cameras = model.cameras_text()?;
-    write_texts(folder, [cameras, model.images_text(&image_name), model.points_text()])?;
+    write_texts(folder, &[cameras, model.images_text(&image_name), model.points_text()])?;
     let points = model.landmarks.len();
     Ok(WrittenModel {
         images: contents.keyframes.len(),
@@ -47,10 +47,10 @@ pub fn write_model(
 }
 
 /// Writes all files, none of which is there, or none of them.
-fn write_texts(folder: &Path, texts: [String; 3]) -> Result<(), ColmapError> {
+fn write_texts(folder: &Path, texts: &[String; 3]) -> Result<(), ColmapError> {
     std::fs::create_dir_all(folder)
         .map_err(|reason| ColmapError::Write { path: folder.to_owned(), reason })?;
-    let mut all = TEXT_FILES.iter().map(|name| folder.join(name)).zip(&texts);
+    let mut all = TEXT_FILES.iter().map(|name| folder.join(name)).zip(texts);
     let written = all.try_for_each(|(path, text)| {
         files::write_whole(&path, text.as_bytes()).map_err(|reason| ColmapError::Write { path, reason })
     });
