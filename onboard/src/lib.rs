@@ -50,6 +50,6 @@ mod topic_watch;
 pub use arguments::RobotArguments;
 pub use outputs::{EndedLost, Recorder, RobotMetrics, Summary};
 pub use program::{Outcome, run_robot, run_robot_until, run_source_until};
-pub use robot::counts::PairSummary;
+pub use robot::counts::{ClockShiftSummary, PairSummary};
 pub use robot::stop::{self, StopSignal};
 pub use robot::{Event, MapLink, OpeningLink, RobotLink};
