@@ -217,6 +217,16 @@ fn assert_unharmed(quiet: &Outcome, robots: &[Outcome], ratio: f64, nees: f64) {
 
 #[test]
 fn robots_drive_on_while_the_network_fails() {
+    drive_on_while_the_network_fails(2);
+}
+
+#[test]
+#[ignore = "more robots"]
+fn three_robots_drive_on_while_the_network_fails() {
+    drive_on_while_the_network_fails(3);
+}
+
+fn drive_on_while_the_network_fails(robots: usize) {
     let scenario = MappedScenario::of(&SimulationOptions {
         seed: 3,
         max_tracks: 50,
@@ -224,7 +234,7 @@ fn robots_drive_on_while_the_network_fails() {
         ..SimulationOptions::default()
     });
     let (live, map) = (&scenario.recordings.live, scenario.loaded());
-    let robots = through_chaos(live, &map, 2, 1);
+    let robots = through_chaos(live, &map, robots, 1);
     // A minute, of which an outage takes a larger part than of a long drive.
     assert_unharmed(&undisturbed(live, &map), &robots, 3.0, 2.0);
 }

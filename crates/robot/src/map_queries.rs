@@ -28,7 +28,7 @@ impl Robot<'_> {
         if self.map.queries.is_none() || self.supervisor.config().mode == MapMode::Odometry {
             return;
         }
-        if !frame.features.is_empty() {
+        if self.query_cameras.has_features(frame) {
             self.query_recorded_features(clone, frame);
             return;
         }

@@ -58,15 +58,25 @@ impl QueryCameras {
             let waited = asked.last_ns.map_or(f64::INFINITY, |last_ns| (frame.stamp_ns - last_ns) as f64);
             waited * asked.success.max(LEAST_SUCCESS)
         };
-        let is_there = |camera: usize| match frame.features.get(&camera) {
-            Some(features) => !features.is_empty(),
-            None => frame.features.is_empty() && frame.images.contains_key(&camera),
+        let has_features = self.has_features(frame);
+        let is_there = |camera: usize| {
+            if has_features {
+                frame.features.get(&camera).is_some_and(|features| !features.is_empty())
+            } else {
+                frame.images.contains_key(&camera)
+            }
         };
         let there = self.asked.iter().filter(|asked| is_there(asked.camera));
         let mut there: Vec<(f64, usize)> = there.map(|asked| (urgency(asked), asked.camera)).collect();
         // Of equal ones the first.
         there.sort_by(|a, b| b.0.total_cmp(&a.0));
         there.into_iter().take(number).map(|(_, camera)| camera).collect()
+    }
+
+    /// Whether a frame has features of a camera that can be asked about.
+    pub(crate) fn has_features(&self, frame: &Frame) -> bool {
+        let of = |asked: &AskedCamera| frame.features.get(&asked.camera);
+        self.asked.iter().filter_map(of).any(|features| !features.is_empty())
     }
 
     /// Notes that a camera is asked about.

@@ -37,6 +37,8 @@ const TRAJECTORIES: [(StateKind, &str); 3] = [
 ];
 /// Name of the folder with what was written before.
 const EARLIER: &str = "earlier";
+/// Begin of the names of folders of files from before the clock was set back.
+const SET_BACK: &str = "set_back_";
 
 /// Sensor time between two flushes, nanoseconds.
 const FLUSH_NS: i64 = 1_000_000_000;
@@ -126,6 +128,7 @@ impl OutputFiles {
     pub(crate) fn append_state(&mut self, row: &StateRow) -> Result<(), OutputError> {
         if self.last_ns.replace(row.stamp_ns).is_some_and(|last_ns| row.stamp_ns < last_ns) {
             self.flush()?;
+            set_aside(&self.folder)?;
             self.begin_new_files()?;
             self.flushed_ns = None;
         }
@@ -165,15 +168,15 @@ impl OutputFiles {
 
     /// Begins new files where these have half of the limit; the other half are the earlier ones.
     fn keep_below_limit(&mut self) -> Result<(), OutputError> {
-        let is_full = |limit: u64| written(&self.folder).map(|path| bytes(&path)).sum::<u64>() >= limit / 2;
-        if self.limit.is_some_and(is_full) {
+        let all = || set_backs(&self.folder).chain([self.folder.clone()]).flat_map(|folder| written(&folder));
+        if self.limit.is_some_and(|limit| all().map(|path| bytes(&path)).sum::<u64>() >= limit / 2) {
+            keep_earlier(&self.folder)?;
             self.begin_new_files()?;
         }
         Ok(())
     }
 
     fn begin_new_files(&mut self) -> Result<(), OutputError> {
-        keep_earlier(&self.folder)?;
         self.writers = Writers::create(&self.folder)?;
         self.is_cut = true;
         Ok(())
@@ -212,9 +215,9 @@ impl Writers {
 }
 
 /// The files that grow.
-fn written(folder: &Path) -> impl Iterator<Item = PathBuf> {
+fn written(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
     let names = TRAJECTORIES.into_iter().map(|(_, name)| name).chain([STATES, EVENTS]);
-    names.map(|name| folder.join(name))
+    names.map(|name| folder.join(name)).collect::<Vec<_>>().into_iter()
 }
 
 /// Whether a trajectory has a pose below its header.
@@ -231,15 +234,34 @@ fn bytes(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |file| file.len())
 }
 
-/// Moves the files of a folder to its folder of earlier ones, in place of those.
+/// Moves the files of a folder, and what was set aside of them, to its folder of earlier ones, in place of those.
 fn keep_earlier(folder: &Path) -> Result<(), OutputError> {
     let earlier = folder.join(EARLIER);
     if earlier.exists() {
         std::fs::remove_dir_all(&earlier).map_err(|source| io(&earlier, source))?;
     }
-    std::fs::create_dir_all(&earlier).map_err(|source| io(&earlier, source))?;
-    for path in written(folder).chain([folder.join(SUMMARY)]).filter(|path| path.exists()) {
-        let to = earlier.join(path.file_name().unwrap_or_default());
+    move_into(&earlier, written(folder).chain([folder.join(SUMMARY)]).chain(set_backs(folder)))
+}
+
+/// Moves the files of a folder to one of their own: those behind them begin at an earlier time.
+fn set_aside(folder: &Path) -> Result<(), OutputError> {
+    move_into(&set_back(folder, 1 + set_backs(folder).count()), written(folder))
+}
+
+/// The folders of files from before the clock was set back.
+fn set_backs(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    (1..).map(|number| set_back(folder, number)).take_while(|part| part.exists())
+}
+
+fn set_back(folder: &Path, number: usize) -> PathBuf {
+    folder.join(format!("{SET_BACK}{number}"))
+}
+
+fn move_into(folder: &Path, paths: impl Iterator<Item = PathBuf>) -> Result<(), OutputError> {
+    let paths: Vec<PathBuf> = paths.filter(|path| path.exists()).collect();
+    std::fs::create_dir_all(folder).map_err(|source| io(folder, source))?;
+    for path in paths {
+        let to = folder.join(path.file_name().unwrap_or_default());
         std::fs::rename(&path, &to).map_err(|source| io(&to, source))?;
     }
     Ok(())
@@ -319,12 +341,21 @@ mod tests {
     fn a_clock_that_is_set_back_begins_new_files() {
         let folder = tempfile::tempdir().unwrap();
         let mut files = OutputFiles::create(folder.path(), Some(1_000_000)).unwrap();
-        for at in [0, 1, 50, 3, 4, 100] {
+        files.append_state(&row(7)).unwrap();
+        files.flush().unwrap();
+        // A run before it is kept.
+        let mut files = OutputFiles::create(folder.path(), Some(1_000_000)).unwrap();
+        for at in [0, 1, 50, 3, 4, 100, 90] {
             files.append_state(&row(at)).unwrap();
         }
         files.flush().unwrap();
         assert!(files.is_cut());
-        assert_eq!(stamps(&folder.path().join(EARLIER)), [0, 1, 50]);
-        assert_eq!(stamps(folder.path()), [3, 4, 100]);
+        let earlier = folder.path().join(EARLIER);
+        assert_eq!((stamps(&earlier), stamps(folder.path())), (vec![7], vec![90]));
+        assert_eq!(stamps(&set_back(folder.path(), 1)), [0, 1, 50]);
+        assert_eq!(stamps(&set_back(folder.path(), 2)), [3, 4, 100]);
+        OutputFiles::create(folder.path(), Some(1_000_000)).unwrap();
+        assert_eq!((stamps(&set_back(&earlier, 1)), stamps(&earlier)), (vec![0, 1, 50], vec![90]));
+        assert!(!set_back(folder.path(), 1).exists());
     }
 }

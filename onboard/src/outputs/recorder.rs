@@ -12,8 +12,11 @@ pub struct Recorder {
     files: OutputFiles,
     /// The newest state, not written yet: map updates after the frame replace it.
     newest: Option<StateRow>,
-    /// Added to all times, nanoseconds: those of the sensors are written.
-    clock_shift_ns: i64,
+    /// What is added to all times, as those of the sensors are written, and the time behind which it is: that of the newest state when it
+    /// was told. On the estimator's clock, nanoseconds.
+    clock_shifts: Vec<(i64, i64)>,
+    /// Time of the newest state on the estimator's clock, nanoseconds.
+    newest_ns: Option<i64>,
     /// The first error of writing; the files are incomplete then.
     error: Option<OutputError>,
 }
@@ -27,7 +30,19 @@ impl Recorder {
     /// # Errors
     /// [`OutputError`] with the file.
     pub fn create(folder: &Path, limit: Option<u64>) -> Result<Self, OutputError> {
-        Ok(Self { files: OutputFiles::create(folder, limit)?, newest: None, clock_shift_ns: 0, error: None })
+        Ok(Self {
+            files: OutputFiles::create(folder, limit)?,
+            newest: None,
+            clock_shifts: Vec::new(),
+            newest_ns: None,
+            error: None,
+        })
+    }
+
+    /// What the clock of the sensors was ahead of the estimator's at a time of the latter, nanoseconds.
+    fn shift_at(&self, stamp_ns: i64) -> i64 {
+        let behind = self.clock_shifts.iter().rev().find(|(from_ns, _)| stamp_ns > *from_ns);
+        behind.map_or(0, |(_, shift_ns)| *shift_ns)
     }
 
     fn write_newest(&mut self) {
@@ -75,8 +90,9 @@ impl Output for Recorder {
     }
 
     fn revise(&mut self, estimate: &Estimate) {
+        self.newest_ns = Some(estimate.motion.stamp_ns);
         self.newest = Some(StateRow {
-            stamp_ns: estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns),
+            stamp_ns: estimate.motion.stamp_ns.saturating_add(self.shift_at(estimate.motion.stamp_ns)),
             local_from_imu: estimate.motion.local_from_imu(),
             global_from_local: estimate.trusted().map(|global| global.global_from_local),
             global_from_imu: estimate.trusted().map(|global| global.global_from_imu),
@@ -84,11 +100,11 @@ impl Output for Recorder {
     }
 
     fn query(&mut self, event: &Event) {
-        let shift_s = self.clock_shift_ns as f64 * 1e-9;
+        let shift_s = |at_s: f64| self.shift_at((at_s * 1e9) as i64) as f64 * 1e-9;
         let event = Event {
-            stamp_ns: event.stamp_ns.saturating_add(self.clock_shift_ns),
-            queried_at_s: event.queried_at_s + shift_s,
-            applied_at_s: event.applied_at_s + shift_s,
+            stamp_ns: event.stamp_ns.saturating_add(self.shift_at(event.stamp_ns)),
+            queried_at_s: event.queried_at_s + shift_s(event.queried_at_s),
+            applied_at_s: event.applied_at_s + shift_s(event.applied_at_s),
             ..event.clone()
         };
         let written = self.files.append_event(&event);
@@ -96,7 +112,7 @@ impl Output for Recorder {
     }
 
     fn set_clock_shift(&mut self, shift_ns: i64) {
-        self.clock_shift_ns = shift_ns;
+        self.clock_shifts.push((self.newest_ns.unwrap_or(i64::MIN), shift_ns));
     }
 }
 
@@ -162,7 +178,8 @@ mod tests {
         assert_eq!(stamps, [SECOND_NS, 3602 * SECOND_NS]);
         let mut events = csv::Reader::from_path(folder.path().join(EVENTS)).unwrap();
         let written: Event = events.deserialize().next().unwrap().unwrap();
-        let expected = (3601 * SECOND_NS, 3601.0, 3601.5);
+        // It is about an image from before the jump, and came behind it.
+        let expected = (SECOND_NS, 1.0, 3601.5);
         assert_eq!((written.stamp_ns, written.queried_at_s, written.applied_at_s), expected);
     }
 }

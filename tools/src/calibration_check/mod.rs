@@ -120,7 +120,8 @@ pub fn check_calibration(
     let stated =
         run_configured(sequence, cameras, config, |done, _| progress(frames + done, all), |_, _| ())?;
     // A small one is within the prior of the estimate.
-    let far_s = coarse_time_offset.offset_s().filter(|offset_s| offset_s.abs() > SIGMA_TIME_OFFSET);
+    let least_s = SIGMA_TIME_OFFSET + 3.0 * coarse_time_offset.sigma_s.unwrap_or(0.0);
+    let far_s = coarse_time_offset.offset_s().filter(|offset_s| offset_s.abs() > least_s);
     if far_s.is_some() && !has_tracks {
         // The gyroscope predicted them, at the wrong times.
         sequence.frames.iter_mut().for_each(|frame| frame.tracks.clear());

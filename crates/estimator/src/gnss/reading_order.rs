@@ -7,6 +7,8 @@ use super::BadGnssReading;
 
 /// Refused readings in a row, each newer than the one before, after which the clock has gone back.
 const ACCEPTED_AFTER: usize = 5;
+/// What is late by less is late, nanoseconds: a burst of readings behind one that overtook them.
+const LEAST_STEP_NS: i64 = 2_000_000_000;
 
 /// See the module's documentation.
 #[derive(Clone, Debug, Default)]
@@ -29,7 +31,7 @@ impl ReadingOrder {
                 Some((refused_ns, count)) if stamp_ns > refused_ns => count + 1,
                 _ => 1,
             };
-            if in_order <= ACCEPTED_AFTER {
+            if in_order <= ACCEPTED_AFTER || previous_ns.saturating_sub(stamp_ns) < LEAST_STEP_NS {
                 self.refused = Some((stamp_ns, in_order));
                 return Err(BadGnssReading::NotNewer { stamp_ns, previous_ns });
             }
@@ -56,7 +58,7 @@ mod tests {
 
     #[test]
     fn a_stamp_from_the_future_costs_some_readings_and_not_all() {
-        let mut stamps = vec![1, 2, 1_000_000];
+        let mut stamps = vec![1, 2, 3_000_000_000];
         stamps.extend(3..20);
         let accepted = accepted(&stamps);
         assert!(accepted[..3].iter().all(|accepted| *accepted));
@@ -68,5 +70,9 @@ mod tests {
     fn what_comes_twice_or_late_is_left_out() {
         assert_eq!(accepted(&[1, 2, 2, 2, 2, 2, 2, 2, 2, 3]).iter().filter(|accepted| **accepted).count(), 3);
         assert_eq!(accepted(&[10, 20, 15, 25, 21, 30, 28]), [true, true, false, true, false, true, false]);
+        // One that overtook seven others.
+        let overtaken: Vec<i64> =
+            std::iter::once(800_000_000).chain((1..8).map(|k| k * 100_000_000)).collect();
+        assert_eq!(accepted(&overtaken).iter().filter(|accepted| **accepted).count(), 1);
     }
 }

@@ -27,6 +27,8 @@ const SIGMAS: f64 = 3.0;
 const DRIFT_FRACTION: f64 = 0.02;
 /// The same of its rotation, rad/m.
 const DRIFT_RAD_M: f64 = 0.002;
+/// Part of the standard deviation of a hypothesis below which that of an answer is of another order.
+const MUCH_MORE_CERTAIN: f64 = 0.5;
 
 /// A pose in G, and how uncertain it is.
 #[derive(Clone, Copy, Debug)]
@@ -87,10 +89,10 @@ impl FixedPose {
         ]
     }
 
-    /// Whether it says more about where the robot is now than an earlier one does after the drift of odometry.
-    fn is_as_certain_as(&self, before: &Self) -> bool {
-        let distance = (self.local_from_imu.translation - before.local_from_imu.translation).norm();
-        self.sigma_position <= before.sigma_predicted(self) + DRIFT_FRACTION / SIGMAS * distance
+    /// The same with the drift of odometry.
+    fn sigma_with_drift(&self, later: &Self) -> f64 {
+        let distance = (later.local_from_imu.translation - self.local_from_imu.translation).norm();
+        self.sigma_predicted(later) + DRIFT_FRACTION / SIGMAS * distance
     }
 }
 
@@ -99,17 +101,38 @@ impl FixedPose {
 struct Hypothesis {
     pose: FixedPose,
     evidence: PlaceEvidence,
+    /// Logarithm of how much less likely the answers from before a much more certain one are with its pose.
+    displaced: f64,
 }
 
 impl Hypothesis {
-    /// Adds an answer that agrees with it. Two that agree are about a standard deviation apart in rotation and position; what is beyond
-    /// that is less likely than the answer is by itself.
-    fn add(&mut self, fix: &Fix) {
-        let squared: f64 = fix.pose.apart(&self.pose).iter().map(|apart| apart * apart).sum();
-        self.evidence.add(fix.seen.less_likely_by(0.5 * (squared - 2.0).max(0.0)));
-        if fix.pose.is_as_certain_as(&self.pose) {
+    fn new(pose: FixedPose, evidence: PlaceEvidence) -> Self {
+        Self { pose, evidence, displaced: 0.0 }
+    }
+
+    /// Adds an answer that agrees with it, and takes its pose where that is as certain.
+    ///
+    /// Two answers of one place are as far apart as three errors of a standard deviation each, in rotation and in position; what is
+    /// beyond that makes them less likely.
+    ///
+    /// # Returns
+    /// Whether it took the pose.
+    fn add(&mut self, fix: &Fix) -> bool {
+        let beyond = |apart: f64| 0.5 * (apart * apart - 3.0).max(0.0);
+        let less_likely_by: f64 = fix.pose.apart(&self.pose).into_iter().map(beyond).sum();
+        let sigma_position = self.pose.sigma_with_drift(&fix.pose);
+        if fix.pose.sigma_position < MUCH_MORE_CERTAIN * sigma_position {
+            // It is the others that are displaced, however often this one comes again.
+            self.displaced = self.displaced.max(less_likely_by);
+            self.evidence.add(fix.seen);
+        } else {
+            self.evidence.add(fix.seen.less_likely_by(less_likely_by));
+        }
+        let takes = fix.pose.sigma_position <= sigma_position;
+        if takes {
             self.pose = fix.pose;
         }
+        takes
     }
 }
 
@@ -173,17 +196,31 @@ impl MapInitializer {
         if agreeing.is_empty() {
             agreeing.push(self.insert(fix.pose));
         }
-        for &at in &agreeing {
-            self.hypotheses[at].add(&fix);
-        }
-        let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
-        let own = agreeing.into_iter().max_by(|a, b| odds(a).total_cmp(&odds(b))).unwrap_or(0);
+        let took_pose: Vec<usize> =
+            agreeing.iter().copied().filter(|&at| self.hypotheses[at].add(&fix)).collect();
+        let best = |candidates: &[usize]| {
+            let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
+            candidates.iter().copied().max_by(|a, b| odds(a).total_cmp(&odds(b))).unwrap_or(0)
+        };
+        let own =
+            if took_pose.is_empty() { best(&agreeing) } else { self.join(best(&took_pose), &took_pose) };
         let waiting = self.against(own);
         if waiting.is_over() {
             self.dropped += self.hypotheses.len() - 1;
             return Decision::Initialize(self.hypotheses[own].evidence.clone());
         }
         Decision::Wait(self.waiting().unwrap_or(waiting))
+    }
+
+    /// Hypotheses that have one pose are one, with the evidence of the best of them.
+    ///
+    /// # Returns
+    /// Where it is.
+    fn join(&mut self, best: usize, with_pose: &[usize]) -> usize {
+        let mut at = 0..self.hypotheses.len();
+        self.hypotheses.retain(|_| at.next().is_some_and(|at| at == best || !with_pose.contains(&at)));
+        self.dropped += with_pose.len() - 1;
+        best - with_pose.iter().filter(|other| **other < best).count()
     }
 
     /// A new hypothesis; the weakest gives way to it.
@@ -196,7 +233,7 @@ impl MapInitializer {
             }
             self.dropped += 1;
         }
-        self.hypotheses.push(Hypothesis { pose, evidence: PlaceEvidence::default() });
+        self.hypotheses.push(Hypothesis::new(pose, PlaceEvidence::default()));
         self.hypotheses.len() - 1
     }
 
@@ -207,7 +244,7 @@ impl MapInitializer {
             let wider = (expected.sigma_predicted(&hypothesis.pose) / EXPECTED_SIGMA_M).max(1.0);
             (REQUIRED_ODDS.ln() - 2.0 * wider.ln()).max(0.0)
         });
-        hypothesis.evidence.log_odds() + by_operator
+        hypothesis.evidence.log_odds() - hypothesis.displaced + by_operator
     }
 
     /// Takes in where the robot is according to its operator.
@@ -247,7 +284,7 @@ impl MapInitializer {
     pub fn begin_with(&mut self, map_version: u64, pose: FixedPose, evidence: PlaceEvidence) {
         self.map_version = Some(map_version);
         self.hypotheses.clear();
-        self.hypotheses.push(Hypothesis { pose, evidence });
+        self.hypotheses.push(Hypothesis::new(pose, evidence));
     }
 
     /// Odometry failed: answers from before say nothing about `global_from_local` any more, nor does the operator.
@@ -335,10 +372,9 @@ mod tests {
         // Right, within 2.5 m of the next aisle, which looks alike.
         let mut first = MapInitializer::default();
         assert!(!initializes(&mut first, vague(0.0, 0.0, 1.5, 1.0)));
-        assert!(
-            !initializes(&mut first, fix(3.0, 2.5, 0.6)),
-            "2.5 standard deviations are a twentieth as likely"
-        );
+        for _ in 0..50 {
+            assert!(!initializes(&mut first, fix(3.0, 2.5, 0.6)), "2.5 standard deviations beside it");
+        }
         // The right aisle gets all of it.
         let mut first = MapInitializer::default();
         assert!(!initializes(&mut first, vague(0.0, 0.0, 1.5, 1.0)));
@@ -354,6 +390,30 @@ mod tests {
             assert!(!initializes(&mut first, vague(x, 0.5, 2.0, 1.0)));
         }
         assert!(initializes(&mut first, fix(16.0, 0.0, 2.5)));
+    }
+
+    /// Whether fixes of one place with these errors (m), at the start and 1.5 m further each, initialize.
+    fn of_one_place(errors: &[f64], log_odds: f64) -> bool {
+        let mut first = MapInitializer::default();
+        let mut fixes = errors.iter().enumerate().map(|(k, error)| fix(1.5 * k as f64, *error, log_odds));
+        fixes.any(|fix| initializes(&mut first, fix))
+    }
+
+    #[test]
+    fn hypotheses_that_become_one_pose_are_one() {
+        // The first two are apart, and the third between them.
+        assert!(of_one_place(&[-0.07, 0.07, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5));
+    }
+
+    /// Errors that are twice as large as stated.
+    #[test]
+    fn right_answers_initialize_although_they_are_less_accurate_than_stated() {
+        let mut rng = StdRng::seed_from_u64(5);
+        for _ in 0..300 {
+            let normal = |rng: &mut StdRng| (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
+            let errors: Vec<f64> = (0..40).map(|_| 2.0 * 0.02 * normal(&mut rng)).collect();
+            assert!(of_one_place(&errors, 0.6), "{errors:?}");
+        }
     }
 
     #[test]

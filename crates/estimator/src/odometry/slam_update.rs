@@ -28,9 +28,9 @@ const MAX_SHIFT: f64 = 0.2;
 /// Standard deviation of what all pixels of a track err alike, px: each image is aligned with the patch of the first one, whose own
 /// noise is in all of them, and which fits less and less as the view changes. The pixels of a track in the window are few enough
 /// to be taken for independent; a feature that is seen in a hundred images would be known ten times as well as it is. Of images at
-/// [`REFERENCE_INTERVAL_S`].
+/// 20 Hz.
 pub const COMMON_ERROR_PX: f64 = 0.5;
-/// Time between the images with which [`COMMON_ERROR_PX`] and [`LASTING_ERROR_RAD`] were found, seconds: more images of the same motion say
+/// Time between the images with which both common errors were found, seconds: more images of the same motion say
 /// no more about what they err alike.
 const REFERENCE_INTERVAL_S: f64 = 0.05;
 /// Shortest time between images that is believed, seconds.
