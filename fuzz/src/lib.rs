@@ -13,7 +13,7 @@
 //! Maps in plain text, settings and what a broker of MQTT sends have no target.
 //!
 //! Each target takes arbitrary bytes. `cargo fuzz` drives them with libFuzzer (`just fuzz TARGET`); the test `short_run`
-//! drives them on a stable toolchain with the seeds in `corpus/` and seeded mutations of them, each for 3 s (`FUZZ_SECONDS`).
+//! drives them on a stable toolchain with the seeds in `corpus/` and seeded mutations of them, each for a second (`FUZZ_SECONDS`).
 
 mod bags;
 mod colmap;
