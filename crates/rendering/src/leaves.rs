@@ -21,6 +21,10 @@ const GREYS: [f32; 2] = [25.0, 190.0];
 const SHADING: f32 = 18.0;
 /// Beyond the border of a shape, texels: what is farther is not painted, with half a texel for rounding.
 const MARGIN: f32 = 1.0;
+/// Farther inside the border than this, texels, a shape hides what is below it: half a texel, with room for rounding.
+const HIDES: f32 = 0.51;
+/// Smallest part of a side's normal along a row with which the side bounds the row.
+const LEAST_NORMAL: f32 = 1e-3;
 /// Most sides of a shape.
 const MAX_SIDES: usize = 6;
 
@@ -94,19 +98,54 @@ impl Leaf {
             let y = row as f32 + 0.5 - self.centre[1];
             let Some([from, to]) = self.extent(y) else { continue };
             let columns = texels_between(self.centre[0] + from, self.centre[0] + to, width);
-            let first_x = columns.start as f32 + 0.5;
-            self.distances(y, first_x, columns.len(), distances);
-            let texels = &mut texels[row * width..][columns];
-            for (index, (texel, distance)) in texels.iter_mut().zip(&*distances).enumerate() {
-                let opacity = (0.5 - *distance).clamp(0.0, 1.0);
-                if opacity > 0.0 {
-                    let x = first_x + index as f32 - self.centre[0];
-                    let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
-                    let before = f32::from(*texel);
-                    *texel = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
+            let inner = self.interior(y, &columns);
+            let texels = &mut texels[row * width..][..width];
+            for border in [columns.start..inner.start, inner.end..columns.end] {
+                self.distances(y, border.start as f32 + 0.5, border.len(), distances);
+                for ((column, texel), distance) in border.clone().zip(&mut texels[border]).zip(&*distances) {
+                    let opacity = (0.5 - *distance).clamp(0.0, 1.0);
+                    if opacity > 0.0 {
+                        *texel = self.mixed(*texel, column, y, opacity);
+                    }
                 }
             }
+            for (column, texel) in inner.clone().zip(&mut texels[inner]) {
+                *texel = self.mixed(*texel, column, y, 1.0);
+            }
         }
+    }
+
+    /// A texel with the shape over it.
+    #[inline]
+    fn mixed(&self, texel: u8, column: usize, y: f32, opacity: f32) -> u8 {
+        let x = column as f32 + 0.5 - self.centre[0];
+        let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
+        let before = f32::from(texel);
+        (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8
+    }
+
+    /// The columns among some in which the shape hides what is below it, in the row `y`; empty at their end where there are none.
+    fn interior(&self, y: f32, columns: &Range<usize>) -> Range<usize> {
+        let none = columns.end..columns.end;
+        let reach = self.radius - HIDES;
+        if reach <= y.abs() {
+            return none;
+        }
+        let half = (reach * reach - y * y).sqrt();
+        let [mut from, mut to] = [-half, half];
+        for ([nx, ny], distance) in &self.sides {
+            let room = distance - HIDES - ny * y;
+            if *nx > LEAST_NORMAL {
+                to = to.min(room / nx);
+            } else if *nx < -LEAST_NORMAL {
+                from = from.max(room / nx);
+            } else if room < LEAST_NORMAL * self.radius {
+                return none;
+            }
+        }
+        let begin = ((self.centre[0] + from - 0.5).ceil().max(0.0) as usize).max(columns.start);
+        let end = ((self.centre[0] + to + 0.5).floor().max(0.0) as usize).min(columns.end);
+        if begin < end { begin..end } else { none }
     }
 
     /// Range of `x` in the row `y` that the shape covers, with a texel of margin; `None` where it covers nothing.
@@ -117,9 +156,9 @@ impl Leaf {
         for ([nx, ny], distance) in &self.sides {
             let room = distance + MARGIN - ny * y;
             // One that is nearly parallel to the row bounds no part of it.
-            if *nx > 1e-3 {
+            if *nx > LEAST_NORMAL {
                 to = to.min(room / nx);
-            } else if *nx < -1e-3 {
+            } else if *nx < -LEAST_NORMAL {
                 from = from.max(room / nx);
             }
         }
