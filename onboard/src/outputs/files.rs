@@ -215,9 +215,9 @@ impl Writers {
 }
 
 /// The files that grow.
-fn written(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+fn written(folder: &Path) -> Vec<PathBuf> {
     let names = TRAJECTORIES.into_iter().map(|(_, name)| name).chain([STATES, EVENTS]);
-    names.map(|name| folder.join(name)).collect::<Vec<_>>().into_iter()
+    names.map(|name| folder.join(name)).collect()
 }
 
 /// Whether a trajectory has a pose below its header.
@@ -240,7 +240,7 @@ fn keep_earlier(folder: &Path) -> Result<(), OutputError> {
     if earlier.exists() {
         std::fs::remove_dir_all(&earlier).map_err(|source| io(&earlier, source))?;
     }
-    move_into(&earlier, written(folder).chain([folder.join(SUMMARY)]).chain(set_backs(folder)))
+    move_into(&earlier, written(folder).into_iter().chain([folder.join(SUMMARY)]).chain(set_backs(folder)))
 }
 
 /// Moves the files of a folder to one of their own: those behind them begin at an earlier time.
@@ -257,8 +257,8 @@ fn set_back(folder: &Path, number: usize) -> PathBuf {
     folder.join(format!("{SET_BACK}{number}"))
 }
 
-fn move_into(folder: &Path, paths: impl Iterator<Item = PathBuf>) -> Result<(), OutputError> {
-    let paths: Vec<PathBuf> = paths.filter(|path| path.exists()).collect();
+fn move_into(folder: &Path, paths: impl IntoIterator<Item = PathBuf>) -> Result<(), OutputError> {
+    let paths: Vec<PathBuf> = paths.into_iter().filter(|path| path.exists()).collect();
     std::fs::create_dir_all(folder).map_err(|source| io(folder, source))?;
     for path in paths {
         let to = folder.join(path.file_name().unwrap_or_default());

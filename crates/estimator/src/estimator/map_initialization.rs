@@ -3,8 +3,9 @@
 use super::Estimator;
 use crate::KeyframeId;
 use crate::linear_algebra::dense::Dense;
+use crate::map_update::fixed_pose::FixedPose;
 use crate::map_update::map_answer::MapAnswer;
-use crate::map_update::map_initializer::{Decision, Fix, FixedPose};
+use crate::map_update::map_initializer::{Decision, Fix};
 use crate::map_update::map_measurement::Linearization;
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::solved_pose::{linearize_solved_pose, median_depth, solved_covariance};

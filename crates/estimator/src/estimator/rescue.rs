@@ -9,9 +9,10 @@
 use super::Estimator;
 use crate::error::EstimatorError;
 use crate::initialization::static_init::{InitialState, gravity_aligned, yaw_between};
+use crate::map_update::fixed_pose::FixedPose;
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix, worst_sigmas};
-use crate::map_update::map_initializer::{FixedPose, REQUIRED_ODDS};
+use crate::map_update::map_initializer::REQUIRED_ODDS;
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_revision::ChangeSize;
 use crate::map_update::place_evidence::SeenPlace;

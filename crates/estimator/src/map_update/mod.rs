@@ -1,5 +1,6 @@
 //! Map updates: answers of the map, their verification, linearization and versions.
 
+pub mod fixed_pose;
 pub mod map_answer;
 pub mod map_fix;
 pub mod map_gravity;
