@@ -157,10 +157,11 @@ pub fn maintain(
     let inbox = inbox.map(|inbox| session_files::find(&[inbox.to_owned()])).transpose()?;
     for (file, is_of_inbox) in named.chain(inbox.into_iter().flatten().map(|file| (file, true))) {
         let map = &job.map.contents;
+        if let Some(id) = known_session(map, &file) {
+            job.report.known.push(PassedSession { file, id });
+            continue;
+        }
         match Waiting::open(&file) {
-            Ok(session) if map.info.sessions.iter().any(|known| known.id == session.id) => {
-                job.report.known.push(PassedSession { file, id: session.id });
-            }
             Ok(session) if is_of_inbox && session.is_of_other(map) => {
                 job.report.other_maps.push(PassedSession { file, id: session.id });
             }
@@ -185,6 +186,14 @@ pub fn maintain(
     let Job { map: Compared { contents: map, .. }, mut report, .. } = job;
     report.after = Counts::of(&map);
     Ok((map, report))
+}
+
+/// The identity of a session that a map has already. An inbox keeps what was taken from it: it is not decoded again each night.
+fn known_session(map: &MapContents, file: &Path) -> Option<SessionId> {
+    // An error is that of the session as a whole, too.
+    let identity = Session::identify(file).ok()??;
+    let id = SessionId::from_bytes(identity.id);
+    map.info.sessions.iter().any(|known| known.id == id).then_some(id)
 }
 
 /// The work on all sessions.

@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use geometry::{Camera, Pose};
 use onboard::arguments::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
-use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
+use sensors::{CalibrationFiles, Frame, ImageData, Sequence, camera_groups};
 use vision::{GrayImage, feature_set};
 
 use map_io::text::read_camera;
@@ -81,66 +81,93 @@ impl QueryImage {
     }
 }
 
-/// Images of a recording that are localized one by one.
+/// An image of a recording that is localized by itself.
 #[derive(Clone, Debug)]
-pub struct RecordedQueries {
-    /// Pose of the camera that took them in the IMU's frame.
+pub struct RecordedQuery {
+    /// Its time, ns.
+    pub stamp_ns: i64,
+    /// Pose of the camera that took it in the IMU's frame.
     pub imu_from_camera: Pose,
-    /// Their times, ns, and the queries, without priors.
-    pub queries: Vec<(i64, LocalizeRequest)>,
+    /// The query, without a prior.
+    pub request: LocalizeRequest,
 }
 
-impl RecordedQueries {
-    /// Reads images of camera 0, or their features where the recording has them, and extracts features.
-    ///
-    /// # Arguments
-    /// * `within_s`: from when to when, seconds from the first frame.
-    /// * `period_s`: they are at least so far apart, seconds.
-    ///
-    /// # Errors
-    /// A recording that cannot be read or has neither features nor images there; weights or a mask that cannot be read.
-    pub fn read(
-        recording: &Path,
-        files: &CalibrationFiles,
-        within_s: Range<f64>,
-        period_s: f64,
-        arguments: &FeatureArguments,
-    ) -> Result<Self> {
-        let sequence = Sequence::open_without_readings(recording, files)?;
-        let sensor = &sequence.cameras[0];
-        let mut extractor = None;
-        let masks = arguments.read_masks()?;
-        let mut queries: Vec<(i64, LocalizeRequest)> = Vec::new();
-        let is_usable = usable(&sequence);
-        let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
-        let is_within = |frame: &&Frame| within_s.contains(&((frame.stamp_ns - first_ns) as f64 * 1e-9));
-        for frame in sequence.frames.iter().filter(is_within).filter(|frame| is_usable(frame)) {
-            let is_due =
-                |(last, _): &(i64, LocalizeRequest)| (frame.stamp_ns - last) as f64 >= period_s * 1e9;
-            if !queries.last().is_none_or(is_due) {
-                continue;
-            }
-            let features = match (frame.features.get(&0), frame.images.get(&0)) {
-                (Some(features), _) => features.clone(),
-                (None, Some(data)) => {
-                    let of = format!("camera 0 of {}", recording.display());
-                    let image = read_image(data, &sensor.camera, &of)?;
-                    let extractor = match &mut extractor {
-                        Some(extractor) => extractor,
-                        none => none.insert(arguments.open_for_queries()?),
-                    };
-                    let mask = masks.first().and_then(Option::as_ref);
-                    let seen = extractor.extract(&image, mask, arguments.max_features);
-                    feature_set(extractor.name(), seen.with_context(|| data.to_string())?)
-                }
-                (None, None) => continue,
-            };
-            let camera = sensor.camera.clone();
-            let request = LocalizeRequest { camera, features, prior: None, gravity_in_camera: None };
-            queries.push((frame.stamp_ns, request));
+/// Reads images of a recording, or their features where the recording has them, and extracts features. Of a rig its cameras are asked
+/// in turn, of a stereo pair the first one.
+///
+/// # Arguments
+/// * `within_s`: from when to when, seconds from the first frame.
+/// * `period_s`: they are at least so far apart, seconds.
+///
+/// # Errors
+/// A recording that cannot be read or has neither features nor images there; weights or a mask that cannot be read.
+pub fn read_queries(
+    recording: &Path,
+    files: &CalibrationFiles,
+    within_s: Range<f64>,
+    period_s: f64,
+    arguments: &FeatureArguments,
+) -> Result<Vec<RecordedQuery>> {
+    let sequence = Sequence::open_without_readings(recording, files)?;
+    let mut turns = Turns::new(&sequence);
+    let mut extractor = None;
+    let masks = arguments.read_masks()?;
+    let mut queries: Vec<RecordedQuery> = Vec::new();
+    let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let is_within = |frame: &&Frame| within_s.contains(&((frame.stamp_ns - first_ns) as f64 * 1e-9));
+    for frame in sequence.frames.iter().filter(is_within) {
+        let is_due = |last: &RecordedQuery| (frame.stamp_ns - last.stamp_ns) as f64 >= period_s * 1e9;
+        if !queries.last().is_none_or(is_due) {
+            continue;
         }
-        ensure!(!queries.is_empty(), "{} has neither features nor images of camera 0", recording.display());
-        Ok(Self { imu_from_camera: sensor.imu_from_camera, queries })
+        let Some(at) = turns.next(frame) else { continue };
+        let sensor = &sequence.cameras[at];
+        let features = match (frame.features.get(&at), frame.images.get(&at)) {
+            (Some(features), _) => features.clone(),
+            (None, Some(data)) => {
+                let of = format!("camera {at} of {}", recording.display());
+                let image = read_image(data, &sensor.camera, &of)?;
+                let extractor = match &mut extractor {
+                    Some(extractor) => extractor,
+                    none => none.insert(arguments.open_for_queries()?),
+                };
+                let mask = masks.get(at).and_then(Option::as_ref);
+                let seen = extractor.extract(&image, mask, arguments.max_features);
+                feature_set(extractor.name(), seen.with_context(|| data.to_string())?)
+            }
+            (None, None) => continue,
+        };
+        let camera = sensor.camera.clone();
+        let request = LocalizeRequest { camera, features, prior: None, gravity_in_camera: None };
+        let imu_from_camera = sensor.imu_from_camera;
+        queries.push(RecordedQuery { stamp_ns: frame.stamp_ns, imu_from_camera, request });
+    }
+    ensure!(!queries.is_empty(), "{} has neither features nor images there", recording.display());
+    Ok(queries)
+}
+
+/// Which camera of a rig is asked next.
+struct Turns {
+    with_features: bool,
+    /// The first camera of each group that sees the same, the one that has waited longest first.
+    waiting: Vec<usize>,
+}
+
+impl Turns {
+    fn new(sequence: &Sequence) -> Self {
+        let waiting = camera_groups(&sequence.cameras).iter().map(|group| group.first).collect();
+        Self { with_features: sequence.has_features(), waiting }
+    }
+
+    /// The one of those that a frame is of that has waited longest.
+    fn next(&mut self, frame: &Frame) -> Option<usize> {
+        let is_there = |at: &usize| {
+            if self.with_features { frame.features.contains_key(at) } else { frame.images.contains_key(at) }
+        };
+        let place = self.waiting.iter().position(is_there)?;
+        let camera = self.waiting.remove(place);
+        self.waiting.push(camera);
+        Some(camera)
     }
 }
 

@@ -47,9 +47,7 @@ impl Session {
     /// # Errors
     /// [`HandInError`]: the file cannot be read, is none, or holds what cannot be.
     pub fn open(path: &Path) -> Result<Self, HandInError> {
-        let bytes = files::read(path, MAX_SESSION_BYTES)
-            .map_err(|source| HandInError::Io { path: path.to_owned(), source })?;
-        Self::of_bytes(path, &bytes)
+        Self::of_bytes(path, &read_file(path)?)
     }
 
     /// The session of the bytes of a file.
@@ -61,6 +59,25 @@ impl Session {
     /// As [`Session::open`].
     pub fn of_bytes(path: &Path, bytes: &[u8]) -> Result<Self, HandInError> {
         Decoder::decode(path, bytes, true)
+    }
+
+    /// What identifies a file: that of its last chunk, of which nothing else is decoded, nor of those before it. `None` where no chunk
+    /// is whole.
+    ///
+    /// # Errors
+    /// [`HandInError`]: the file cannot be read, is none, or its last chunk does not begin as one does.
+    pub fn identify(path: &Path) -> Result<Option<RecordedSoFar>, HandInError> {
+        let bytes = read_file(path)?;
+        let (_, blocks) = Blocks::of_file(path, &bytes)?;
+        let last = blocks.filter(|(_, block)| block.kind == kind::CHUNK).last();
+        let identity = last.map(|(begin, block)| {
+            chunk::decode_identity(block.payload).map_err(|source| HandInError::Chunk {
+                path: path.to_owned(),
+                offset: begin as u64,
+                source,
+            })
+        });
+        identity.transpose()
     }
 
     /// Checks the bytes of a file as [`Session::of_bytes`] does, with the memory of one chunk at a time.
@@ -93,6 +110,10 @@ impl Session {
             && files::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok()
             && begin == *MAGIC
     }
+}
+
+fn read_file(path: &Path) -> Result<Vec<u8>, HandInError> {
+    files::read(path, MAX_SESSION_BYTES).map_err(|source| HandInError::Io { path: path.to_owned(), source })
 }
 
 /// Decodes a file, chunk by chunk.

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use map::contents::AliasProblem;
-use map::{Alias, ContentsError, MapContents, edit, store};
+use map::{Alias, ContentsError, KeyframeAliases, MapContents, edit, store};
 use testing::{Place, PlaceOptions, add_aliases};
 
 fn place(is_searched: bool) -> MapContents {
@@ -74,4 +74,56 @@ fn those_of_keyframes_that_are_taken_out_go_with_them() {
     contents.validate().unwrap();
     assert_eq!(contents.aliases.len(), ids.len() - 2);
     assert!(contents.aliases[0].places.is_empty());
+}
+
+/// Two copies of a place side by side, of each of which each keyframe looks like that of the other.
+fn repeated_place() -> MapContents {
+    let place = Place::new(&PlaceOptions { keyframes: 6, landmarks: 3000, ..PlaceOptions::default() });
+    let mut map = place.map.clone();
+    for keyframe in &place.map.keyframes {
+        let mut copy = keyframe.clone();
+        copy.id += 100;
+        copy.global_from_keyframe.pose.translation.y += 50.0;
+        map.keyframes.push(copy);
+    }
+    for landmark in &place.map.landmarks {
+        let mut copy = landmark.clone();
+        copy.id += 1_000_000;
+        copy.anchor += 100;
+        copy.observations.iter_mut().for_each(|observation| observation.keyframe += 100);
+        map.landmarks.push(copy);
+    }
+    let ids: Vec<u64> = map.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let alias = |id: u64| KeyframeAliases {
+        keyframe: id,
+        places: vec![Alias { keyframe: if id < 100 { id + 100 } else { id - 100 }, log_odds: id as f64 }],
+    };
+    map.aliases = ids.into_iter().map(alias).collect();
+    map.sort();
+    map.validate().unwrap();
+    map
+}
+
+#[test]
+fn a_thinned_map_knows_as_well_as_before_which_of_its_places_look_alike() {
+    let mut map = repeated_place();
+    let ids: Vec<u64> = map.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let removed: BTreeSet<u64> = ids.iter().copied().step_by(2).collect();
+    edit::remove_keyframes(&mut map, &removed);
+    map.validate().unwrap();
+    assert_eq!(map.aliases.len(), ids.len() - removed.len());
+    for aliases in &map.aliases {
+        let [place] = aliases.places.as_slice() else { panic!("{aliases:?}") };
+        assert!(!removed.contains(&place.keyframe), "{aliases:?}");
+        assert_ne!(place.keyframe < 100, aliases.keyframe < 100, "{aliases:?}");
+        assert_eq!(place.log_odds, aliases.keyframe as f64);
+    }
+}
+
+#[test]
+fn an_alias_goes_with_the_last_keyframe_of_its_place() {
+    let mut map = repeated_place();
+    let removed: BTreeSet<u64> = (100..200).collect();
+    edit::remove_keyframes(&mut map, &removed);
+    assert!(!map.aliases.is_empty() && map.aliases.iter().all(|aliases| aliases.places.is_empty()));
 }

@@ -2,7 +2,7 @@
 
 use crate::in_process::run_in_map;
 use crate::plotting::RunFiles;
-use crate::query_image::RecordedQueries;
+use crate::query_image::{RecordedQuery, read_queries};
 use anyhow::{Context as _, Result};
 use evaluation::trajectory::StateRow;
 use geometry::PoseWithCovariance;
@@ -20,7 +20,7 @@ pub struct Drive {
     name: String,
     files: CalibrationFiles,
     robot: RobotArguments,
-    images: RecordedQueries,
+    queries: Vec<RecordedQuery>,
 }
 
 /// A drive in one map.
@@ -63,10 +63,9 @@ impl Drive {
         robot.features = robot.features.or_of_map(&map.info().extractor);
         let files = robot.recording_files(calibration)?;
         let end_s = robot.duration.map_or(f64::INFINITY, |duration_s| robot.start_at + duration_s);
-        let images =
-            RecordedQueries::read(recording, &files, robot.start_at..end_s, period_s, &robot.features)?;
+        let queries = read_queries(recording, &files, robot.start_at..end_s, period_s, &robot.features)?;
         let name = recording.display().to_string();
-        Ok(Self { recording: recording.to_owned(), name, files, robot, images })
+        Ok(Self { recording: recording.to_owned(), name, files, robot, queries })
     }
 
     /// The recording.
@@ -94,11 +93,11 @@ impl Drive {
     }
 
     fn cold_images(&self, map: &LoadedMap) -> Result<Vec<ColdImage>> {
-        let (camera_from_imu, options) =
-            (self.images.imu_from_camera.inverse(), RecognitionOptions::default());
+        let options = RecognitionOptions::default();
         let mut images = Vec::new();
-        for (stamp_ns, request) in &self.images.queries {
+        for RecordedQuery { stamp_ns, imu_from_camera, request } in &self.queries {
             let reply = map.localize(request, &options).with_context(|| self.name.clone())?;
+            let camera_from_imu = imu_from_camera.inverse();
             let global_from_imu =
                 reply.fix.map(|fix| fix.global_from_camera.change_of_child(&camera_from_imu));
             images.push(ColdImage { stamp_ns: *stamp_ns, outcome: reply.outcome, global_from_imu });

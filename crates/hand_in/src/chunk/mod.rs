@@ -102,6 +102,11 @@ pub(crate) fn decode(bytes: &[u8], format: ChunkFormat) -> Result<(Chunk, u64), 
     Ok((chunk, input.end()?))
 }
 
+/// What the recording up to the end of a chunk is identified by; nothing else of the chunk is decoded.
+pub(crate) fn decode_identity(bytes: &[u8]) -> Result<RecordedSoFar, ChunkError> {
+    identity::read(&mut Reader::new(bytes))
+}
+
 /// Times that ascend, as differences.
 struct Times(Option<i64>);
 

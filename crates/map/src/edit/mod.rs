@@ -1,5 +1,6 @@
 //! Changing a map by hand: keyframes and landmarks are taken out, what stays keeps its ids and poses.
 
+mod alias_heirs;
 mod part;
 mod redundancy;
 
@@ -40,7 +41,7 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
 ///
 /// A landmark whose anchor is taken out is anchored in the next keyframe that observes it, at the depth that the poses give on the ray
 /// of that keyframe's own pixel; one that no keyframe observes any more is taken out, too. Poses and covariances of the others stay:
-/// they say what was learned from all.
+/// they say what was learned from all. An alias of a place that other keyframes show, too, names one of these.
 ///
 /// # Example
 /// ```
@@ -54,6 +55,7 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
 /// # Ok::<(), map::ContentsError>(())
 /// ```
 pub fn remove_keyframes(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
+    alias_heirs::hand_on_aliases(contents, removed);
     let stays = |keyframe: KeyframeId| !removed.contains(&keyframe);
     let mut keyframes = std::mem::take(&mut contents.keyframes);
     let observers = by_id(&keyframes);

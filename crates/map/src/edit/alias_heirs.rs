@@ -1,0 +1,65 @@
+//! Which places look alike, where a keyframe of one of them is taken out.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use protocol::KeyframeId;
+
+use crate::contents::MapContents;
+
+/// Landmarks that two keyframes share, by the first and the second.
+type Shared = BTreeMap<KeyframeId, BTreeMap<KeyframeId, usize>>;
+
+/// Names in aliases, in place of keyframes that are taken out, those that stay and show most of the same landmarks: their place looks
+/// like the other one as before.
+///
+/// One that shows a landmark of the aliased keyframe, too, is of its own place and is none.
+pub(super) fn hand_on_aliases(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
+    let stays = |keyframe: &KeyframeId| !removed.contains(keyframe);
+    let mut concerned: BTreeSet<KeyframeId> = BTreeSet::new();
+    for aliases in contents.aliases.iter().filter(|aliases| stays(&aliases.keyframe)) {
+        let gone = aliases.places.iter().map(|place| place.keyframe).filter(|keyframe| !stays(keyframe));
+        let before = concerned.len();
+        concerned.extend(gone);
+        if concerned.len() > before {
+            concerned.insert(aliases.keyframe);
+        }
+    }
+    if concerned.is_empty() {
+        return;
+    }
+    let shared = shared_landmarks(contents, &concerned);
+    let none = BTreeMap::new();
+    for aliases in contents.aliases.iter_mut().filter(|aliases| stays(&aliases.keyframe)) {
+        let sees_the_same = shared.get(&aliases.keyframe).unwrap_or(&none);
+        for place in aliases.places.iter_mut().filter(|place| !stays(&place.keyframe)) {
+            let others = shared.get(&place.keyframe).unwrap_or(&none).iter();
+            let heirs = others.filter(|(keyframe, _)| {
+                stays(keyframe) && **keyframe != aliases.keyframe && !sees_the_same.contains_key(keyframe)
+            });
+            // Of equal ones the first.
+            if let Some((heir, _)) =
+                heirs.max_by_key(|(keyframe, count)| (**count, std::cmp::Reverse(**keyframe)))
+            {
+                place.keyframe = *heir;
+            }
+        }
+        // The strongest of each place is first.
+        let mut named = BTreeSet::new();
+        aliases.places.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+        aliases.places.retain(|place| named.insert(place.keyframe));
+    }
+}
+
+/// How many landmarks some keyframes share with others.
+fn shared_landmarks(contents: &MapContents, of: &BTreeSet<KeyframeId>) -> Shared {
+    let mut shared = Shared::new();
+    for landmark in &contents.landmarks {
+        for first in landmark.observations.iter().filter(|seen| of.contains(&seen.keyframe)) {
+            let others = shared.entry(first.keyframe).or_default();
+            for second in landmark.observations.iter().filter(|seen| seen.keyframe != first.keyframe) {
+                *others.entry(second.keyframe).or_default() += 1;
+            }
+        }
+    }
+    shared
+}
