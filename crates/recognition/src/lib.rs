@@ -3,6 +3,7 @@
 //! | module | step | result |
 //! |---|---|---|
 //! | `index` | votes of all descriptors | some ten candidates |
+//! | `comparisons` | which candidates are compared, and with how many of other places | |
 //! | `verification` | descriptor matching and PnP with each candidate | verified keyframes |
 //! | `consensus` | do their poses agree? | one place, or none |
 //! | `answer` | rules of an answer | replies to a match query |
@@ -27,6 +28,7 @@
 
 mod answer;
 mod coarse;
+mod comparisons;
 mod consensus;
 mod cross_covariances;
 mod elements;

@@ -14,7 +14,8 @@
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct RecognitionOptions {
-    /// How many of the keyframes with the most votes are matched feature by feature.
+    /// How many of the keyframes with the most votes are matched feature by feature, and, where none of these tells the place, how
+    /// many of other places.
     pub candidates: usize,
     /// Fewest query features that must vote for a keyframe to make it a candidate.
     pub min_votes: usize,

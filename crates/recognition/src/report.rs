@@ -16,8 +16,9 @@ use super::verification::Comparison;
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SearchReport {
-    /// The candidates in the order of their votes: first those near the prior, then those of the whole map, where these were
-    /// searched. At most twice [`candidates`](super::RecognitionOptions::candidates).
+    /// The candidates in the order in which they were compared: first those near the prior, then those of the whole map, where these were
+    /// searched, by their votes, and those of other places than these. At most some three times
+    /// [`candidates`](super::RecognitionOptions::candidates).
     pub candidates: Vec<Candidate>,
     /// The place that was recognized, or the strongest of those that were ambiguous.
     pub place: Option<RecognizedPlace>,

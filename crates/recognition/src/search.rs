@@ -3,18 +3,19 @@
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchOutcome, PosePrior, PossiblePlace};
-use vision::{DescriptorError, DescriptorView, Matcher};
+use vision::{DescriptorError, DescriptorView};
 
-use super::consensus::{Consensus, agree, find_consensus, group_places, is_consistent, support};
+use super::comparisons::{Comparisons, Ranking, Sufficient};
+use super::consensus::{Consensus, find_consensus, group_places, support};
 use super::elements::Viewpoint;
-use super::evidence::{OTHER_PLACE, coverage};
+use super::evidence::coverage;
 use super::index::{LandmarkSet, Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::place::RecognizedPlace;
 use super::query::QueryError;
 use super::report::{Candidate, Hypothesis, MAX_HYPOTHESES, SearchReport};
-use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
+use super::verification::{Image, VerifiedKeyframe, distinct_features};
 
 /// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
 const PRIOR_SIGMAS: f64 = 3.0;
@@ -26,6 +27,9 @@ const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
 /// Keyframes near a prior are few where the map has so many times as many: comparing a landmark by itself takes several
 /// times as long as in a whole list.
 const FEW_KEYFRAMES: usize = 8;
+
+/// Keyframes of the whole map that are ranked by their votes, at most.
+const RANKED: usize = 200;
 
 /// Features that vote for keyframes near a prior, at most: these are few, and the votes only rank them.
 const VOTERS_NEAR_PRIOR: usize = 160;
@@ -67,33 +71,6 @@ impl Search {
 
     pub(super) fn into_report(self) -> SearchReport {
         SearchReport { candidates: self.candidates, place: self.strongest, hypotheses: self.hypotheses }
-    }
-}
-
-/// What makes further candidates of a place needless: they share fewer features with the image.
-struct Sufficient<'a> {
-    prior: Option<&'a PoseWithCovariance>,
-    enough: usize,
-}
-
-impl Sufficient<'_> {
-    /// Whether enough keyframes are verified, and all of them agree with a tight prior, or without one with the first.
-    fn is_reached(
-        &self,
-        map: &LoadedMap,
-        verified: &[VerifiedKeyframe],
-        options: &RecognitionOptions,
-    ) -> bool {
-        let Some(first) = verified.first().filter(|_| verified.len() >= self.enough) else { return false };
-        verified.iter().all(|keyframe| match self.tight_prior(map) {
-            Some(prior) => is_consistent(&keyframe.global_from_camera, prior, options),
-            None => agree(map, first, keyframe, options),
-        })
-    }
-
-    /// The prior, where no other place that looks alike could be within it.
-    fn tight_prior(&self, map: &LoadedMap) -> Option<&PoseWithCovariance> {
-        self.prior.filter(|prior| prior_radius(prior) <= OTHER_PLACE * map.viewing_distance())
     }
 }
 
@@ -151,29 +128,27 @@ impl LoadedMap {
         }
         let descriptors = self.view(features)?;
         let image = Image { camera, features, descriptors, gravity_in_camera };
-        let candidates = |votes: &[Votes], eligible: &dyn Fn(usize) -> bool| {
-            best_voted(votes, options.candidates, options.min_votes, eligible)
-        };
-        let mut of_both = Vec::new();
+        let mut of_prior = Vec::new();
         if let Some(prior) = prior {
             let near = self.near(&prior.global_from_camera);
             let sufficient = Sufficient { prior: Some(&prior.global_from_camera), enough };
             let votes = self.votes_near(descriptors, &near)?;
-            let candidates = candidates(&votes, &|at| near[at]);
-            of_both = Candidate::list(self, &candidates, &votes, true);
-            let place = self.recognize(&candidates, &mut of_both, &image, &sufficient, options)?;
+            let ranked = best_voted(&votes, options.candidates, options.min_votes, |at| near[at]);
+            let ranking = Ranking { votes: &votes, ranked, near_prior: true };
+            let place = self.recognize(&ranking, &image, &sufficient, options)?;
             if place.outcome == MatchOutcome::Matched {
                 let searched_keyframes = near.iter().filter(|&&near| near).count();
-                return Ok(Search { searched_keyframes, is_near_prior: true, candidates: of_both, ..place });
+                return Ok(Search { searched_keyframes, is_near_prior: true, ..place });
             }
+            of_prior = place.candidates;
         }
         let votes = self.index.vote(descriptors, &self.landmarks.observers, self.poses.keyframes.len())?;
         let sufficient = Sufficient { prior: None, enough };
-        let candidates = candidates(&votes, &|_| true);
-        let of_prior = of_both.len();
-        of_both.extend(Candidate::list(self, &candidates, &votes, false));
-        let place = self.recognize(&candidates, &mut of_both[of_prior..], &image, &sufficient, options)?;
-        Ok(Search { searched_keyframes: self.poses.keyframes.len(), candidates: of_both, ..place })
+        let ranked = best_voted(&votes, RANKED, options.min_votes, |_| true);
+        let ranking = Ranking { votes: &votes, ranked, near_prior: false };
+        let mut place = self.recognize(&ranking, &image, &sufficient, options)?;
+        place.candidates.splice(0..0, of_prior);
+        Ok(Search { searched_keyframes: self.poses.keyframes.len(), ..place })
     }
 
     /// Whether a prior tells the place that was found from those that look alike: it was found near the prior, at a pose that the prior
@@ -228,51 +203,32 @@ impl LoadedMap {
         Ok(votes)
     }
 
-    /// Compares an image with each candidate and finds the one place that they agree on.
+    /// Compares an image with candidates and finds the one place that they agree on.
     ///
-    /// Where enough of them agree, the candidates that remain matter only if they are of another place, which makes the
-    /// answer ambiguous; with a tight prior not even these.
-    ///
-    /// # Arguments
-    /// * `report`: of each candidate, in the same order.
+    /// Without a prior, where no place of the candidates with most votes is told from a picture that repeats, others are compared.
     fn recognize(
         &self,
-        candidates: &[usize],
-        report: &mut [Candidate],
+        ranking: &Ranking<'_>,
         image: &Image<'_>,
         sufficient: &Sufficient<'_>,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
-        let mut matcher = Matcher::new(image.descriptors);
-        let mut verified: Vec<VerifiedKeyframe> = Vec::new();
-        let mut outcome = MatchOutcome::NoMatch;
-        // Whether a keyframe may share a field of view with those that are sufficient.
-        let mut of_the_place: Option<Vec<bool>> = None;
-        for (&candidate, report) in candidates.iter().zip(report.iter_mut()) {
-            if of_the_place.is_none() && sufficient.is_reached(self, &verified, options) {
-                if sufficient.tight_prior(self).is_some() {
-                    break;
-                }
-                of_the_place = Some(self.near(&verified[0].global_from_camera));
-            }
-            if of_the_place.as_ref().is_some_and(|of_the_place| of_the_place[candidate]) {
-                continue;
-            }
-            let first = verified.first().map(|first| &first.global_from_camera.pose);
-            let comparison = compare(self, candidate, image, &mut matcher, first, options)?;
-            report.note(&comparison);
-            match comparison {
-                Comparison::TooFewMatches { .. } => {}
-                Comparison::NoPose { .. } | Comparison::PoseUncertain(_) => {
-                    outcome = MatchOutcome::NotVerified;
-                }
-                Comparison::Verified(keyframe) => verified.push(*keyframe),
-            }
-        }
-        let mut strongest = None;
-        let places = group_places(self, &mut verified, options);
+        let mut comparisons = Comparisons::new(self, image, ranking, options);
+        comparisons.compare_best(sufficient)?;
         let log_prior_odds = self.aliasing_rate().log_odds();
-        let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
+        let weigh = |verified: &mut Vec<VerifiedKeyframe>| {
+            let places = group_places(self, verified, options);
+            let hypotheses = self.hypotheses(image, verified, &places, log_prior_odds);
+            (places, hypotheses)
+        };
+        let (mut places, mut hypotheses) = weigh(&mut comparisons.verified);
+        let is_told = |first: &Hypothesis| first.log_odds() >= options.min_fix_log_odds;
+        if sufficient.prior.is_none() && !hypotheses.first().is_some_and(is_told) {
+            comparisons.compare_others(sufficient)?;
+            (places, hypotheses) = weigh(&mut comparisons.verified);
+        }
+        let Comparisons { verified, mut outcome, report: mut candidates, .. } = comparisons;
+        let mut strongest = None;
         let telling = sufficient.prior.filter(|prior| self.tells_places_apart(prior));
         let place = match find_consensus(verified, &places, &hypotheses, telling, options) {
             Consensus::Nothing => Vec::new(),
@@ -299,13 +255,15 @@ impl LoadedMap {
                     let global_from_camera = best.global_from_camera;
                     RecognizedPlace { global_from_camera, features }
                 });
-                for (at, candidate) in candidates.iter().zip(report) {
-                    candidate.in_answer = place.iter().any(|verified| verified.keyframe == *at);
+                for candidate in &mut candidates {
+                    candidate.in_answer = place
+                        .iter()
+                        .any(|verified| self.poses.keyframes[verified.keyframe].id == candidate.keyframe);
                 }
                 place
             }
         };
-        let (searched_keyframes, is_near_prior, candidates) = (0, false, Vec::new());
+        let (searched_keyframes, is_near_prior) = (0, false);
         Ok(Search { outcome, place, strongest, searched_keyframes, is_near_prior, candidates, hypotheses })
     }
 

@@ -1,10 +1,11 @@
 //! Laws of place recognition, on seeded synthetic places.
 
 use crate::common::{ask, loaded, localize_request, prior_at, random_pose};
-use nalgebra::Vector3;
+use map::model::{Keyframe, Observation};
+use nalgebra::{Vector2, Vector3};
 use protocol::{MatchOutcome, Validate};
-use rand::SeedableRng;
 use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, RecognitionOptions};
 use testing::{Place, PlaceOptions};
 
@@ -34,6 +35,58 @@ fn nearly_every_image_is_recognized_where_it_was_taken() {
             assert!(nees < 60.0, "round {round}: NEES {nees}");
         }
         assert!(found >= 38, "only {found} of 40 images were recognized");
+    }
+}
+
+/// A place, and twelve keyframes side by side far away that see all of its landmarks anywhere in their images.
+fn place_with_medley() -> (Place, LoadedMap) {
+    let place = Place::new(&PlaceOptions::default());
+    let mut contents = place.map.clone();
+    let mut rng = StdRng::seed_from_u64(7);
+    let medley: Vec<Keyframe> = (0..12_u64)
+        .map(|number| {
+            let mut keyframe = contents.keyframes[10].clone();
+            keyframe.id = 100 + number;
+            keyframe.global_from_keyframe.pose.translation += Vector3::new(500.0, 0.2 * number as f64, 0.0);
+            keyframe
+        })
+        .collect();
+    let originals = contents.landmarks.clone();
+    for original in originals {
+        let mut landmark = original.clone();
+        landmark.id += 100_000;
+        let descriptor = original.observations[0].descriptor.clone();
+        let seen = |keyframe: &Keyframe, rng: &mut StdRng| Observation {
+            keyframe: keyframe.id,
+            pixel: [rng.random_range(5.0..745.0), rng.random_range(5.0..475.0)],
+            descriptor: descriptor.clone(),
+        };
+        landmark.observations = medley.iter().map(|keyframe| seen(keyframe, &mut rng)).collect();
+        landmark.anchor = medley[0].id;
+        let ray =
+            place.camera.unproject(&Vector2::from(landmark.observations[0].pixel.map(f64::from))).unwrap();
+        landmark.position_in_anchor = ray.push(1.0) * rng.random_range(3.0..20.0);
+        contents.landmarks.push(landmark);
+    }
+    // The medley has more of an image than the place has, where a third was changed.
+    contents.landmarks.retain(|landmark| landmark.id > 100_000 || landmark.id % 3 > 0);
+    contents.keyframes.extend(medley);
+    contents.sort();
+    (place, LoadedMap::from_contents(contents).unwrap())
+}
+
+#[test]
+fn neighbours_that_outvote_the_place_of_an_image_leave_room_for_it() {
+    let (place, map) = place_with_medley();
+    let mut rng = StdRng::seed_from_u64(8);
+    for x in [13.0, 23.0, 33.0] {
+        let truth = place.camera_at(x, 0.8, 0.05);
+        let request = place.request(&truth, 4, &mut rng);
+        let ranked = map.rank_keyframes(&request.features, 10).unwrap();
+        assert!(ranked.iter().all(|id| *id >= 100), "{ranked:?}");
+        let reply = map.localize(&localize_request(request), &RecognitionOptions::default()).unwrap();
+        let found = reply.fix.unwrap().global_from_camera.pose;
+        assert!((found.translation - truth.translation).norm() < 0.3, "{x}: {found:?}");
     }
 }
 
