@@ -4,16 +4,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use clap::Parser as _;
-use geometry::Pose;
-use map::MapContents;
+use geometry::{Pose, Rotation};
 use map::edit::{keyframes_where, remove_keyframes};
 use map::store::{load_map, save_map};
-use nalgebra::Vector3;
+use map::{CommonError, MapContents};
+use nalgebra::{Matrix6xX, Vector3};
 use onboard::RobotArguments;
 use onboard::arguments::CalibrationArguments;
 use recognition::LoadedMap;
 use testing::copy_folder;
-use tools::review::{Drive, DriveRun, Gates, Review, ReviewedDrive, Side};
+use tools::review::{Drive, DriveRun, Gates, Review, ReviewedDrive, Side, Structure};
 
 use crate::scratch::Scratch;
 
@@ -102,9 +102,77 @@ fn a_corner_that_is_0_3_m_off_is_refused(town: &Town) {
     }
     let review = review(town, "moved", &moved);
     let [maps, truth, unknown] = gates(town, &review);
-    assert!(maps.contains(&"--max-unexplained"), "{maps:?}");
+    assert!(maps.contains(&"--max-unexplained") && maps.contains(&"--max-moved-places"), "{maps:?}");
     assert!(!truth.is_empty() && unknown.contains(&"--max-disagreement-m"), "{truth:?} {unknown:?}");
     assert!(review.refusals[0].reason.contains("0.30 m"), "{:?}", review.refusals);
+}
+
+/// A corner that is off in a map that states an error of all its keyframes together of 0.4 m, as one that GNSS tied to the earth.
+fn a_corner_that_is_off_in_a_map_that_is_uncertain_as_a_whole_is_found(town: &Town) {
+    let mut uncertain = town.map.clone();
+    let mut factor = Matrix6xX::zeros(3);
+    factor.fixed_view_mut::<3, 3>(3, 0).fill_diagonal(0.4);
+    let shared = &factor * factor.transpose();
+    let ids: Vec<u64> = uncertain.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    for keyframe in &mut uncertain.keyframes {
+        keyframe.global_from_keyframe.covariance += shared;
+    }
+    if uncertain.common_errors.is_empty() {
+        uncertain.common_errors =
+            ids.iter().map(|&keyframe| CommonError { keyframe, factor: factor.clone() }).collect();
+    } else {
+        for common in &mut uncertain.common_errors {
+            let columns = common.factor.ncols();
+            let mut wider = common.factor.clone().insert_columns(columns, 3, 0.0);
+            wider.columns_mut(columns, 3).copy_from(&factor);
+            common.factor = wider;
+        }
+    }
+    uncertain.validate().unwrap();
+    let mut moved = uncertain.clone();
+    let corner = part(&uncertain, 0.35, 0.6);
+    for &at in &corner {
+        moved.keyframes[at].global_from_keyframe.pose.translation += Vector3::new(0.2, 0.2, 0.1);
+    }
+    let [live, candidate] = [&uncertain, &moved].map(|map| LoadedMap::from_contents(map.clone()).unwrap());
+    let structure = Structure::between(&live, &candidate);
+    assert!(structure.unexplained.len() > corner.len() / 2, "{:?}", structure.unexplained);
+    assert!(!structure.moved_m.is_empty());
+    // The whole map may be off.
+    let mut shifted = uncertain.clone();
+    for keyframe in &mut shifted.keyframes {
+        keyframe.global_from_keyframe.pose.translation += Vector3::new(0.2, 0.2, 0.1);
+    }
+    let shifted = Structure::between(&live, &LoadedMap::from_contents(shifted).unwrap());
+    assert!(shifted.unexplained.is_empty() && shifted.moved_m.is_empty(), "{:?}", shifted.unexplained);
+}
+
+/// All views in one direction, of a map that has each place in both.
+fn views_in_one_direction_that_are_missing_are_found(town: &Town) {
+    let mut both = town.map.clone();
+    let next = both.keyframes.iter().map(|keyframe| keyframe.id).max().unwrap() + 1;
+    for keyframe in &town.map.keyframes {
+        let mut back = keyframe.clone();
+        back.id += next;
+        let about = Rotation::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
+        back.global_from_keyframe.pose.rotation = about * back.global_from_keyframe.pose.rotation;
+        both.keyframes.push(back);
+    }
+    both.info.sessions.clear();
+    both.sort();
+    let loaded = |map: &MapContents| LoadedMap::from_contents(map.clone()).unwrap();
+    let mut ahead = both.clone();
+    let backward = keyframes_where(&ahead, |keyframe| keyframe.id >= next);
+    remove_keyframes(&mut ahead, &backward);
+    let structure = Structure::between(&loaded(&both), &loaded(&ahead));
+    assert!(
+        2 * structure.emptied_m.len() >= structure.places,
+        "{} of {}",
+        structure.emptied_m.len(),
+        structure.places
+    );
+    let unchanged = Structure::between(&loaded(&both), &loaded(&both));
+    assert!(unchanged.emptied_m.is_empty() && unchanged.unexplained.is_empty());
 }
 
 fn half_of_a_place_that_is_missing_is_refused(town: &Town) {
@@ -159,6 +227,22 @@ fn an_honest_candidate_passes(town: &Town) {
     );
 }
 
+/// A drive without truth in a part that the live map lacks.
+fn a_drive_that_nothing_can_be_compared_with_is_refused(town: &Town) {
+    let [_, (drive, in_candidate)] = &town.drives;
+    let mut half = town.map.clone();
+    let gone: Vec<u64> = part(&town.map, 0.0, 0.85).iter().map(|at| town.map.keyframes[*at].id).collect();
+    let chosen = keyframes_where(&half, |keyframe| gone.contains(&keyframe.id));
+    remove_keyframes(&mut half, &chosen);
+    let live = side("release 1", &half);
+    let in_live = drive.run_in(&live.map, &town.scratch.path("little-known")).unwrap();
+    let reviewed = ReviewedDrive::of(drive, &in_live, in_candidate);
+    assert!(reviewed.candidate.cold.unjudged > 0, "{:?}", reviewed.candidate);
+    let review = Review::judged(&live, &town.live, vec![reviewed], &Gates::default());
+    let gates: Vec<&str> = review.refusals.iter().map(|refusal| refusal.gate).collect();
+    assert!(gates.contains(&"--min-judged"), "{:?}", review.refusals);
+}
+
 fn the_command_reviews_a_candidate_and_writes_a_report(town: &Town) {
     let scratch = &town.scratch;
     scratch.run("publish-map --map town.db --to releases");
@@ -189,8 +273,11 @@ fn the_command_reviews_a_candidate_and_writes_a_report(town: &Town) {
 fn candidates_are_judged() {
     let town = Town::new();
     a_corner_that_is_0_3_m_off_is_refused(&town);
+    a_corner_that_is_off_in_a_map_that_is_uncertain_as_a_whole_is_found(&town);
+    views_in_one_direction_that_are_missing_are_found(&town);
     half_of_a_place_that_is_missing_is_refused(&town);
     two_places_that_are_swapped_are_refused(&town);
     an_honest_candidate_passes(&town);
+    a_drive_that_nothing_can_be_compared_with_is_refused(&town);
     the_command_reviews_a_candidate_and_writes_a_report(&town);
 }

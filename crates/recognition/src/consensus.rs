@@ -204,7 +204,7 @@ fn difference_covariance(
 }
 
 /// A symmetric matrix without its negative eigenvalues: single blocks of a joint covariance are rounded.
-fn positive_part(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+pub(crate) fn positive_part(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     let mut eigen = matrix.symmetric_eigen();
     eigen.eigenvalues.apply(|value| *value = value.max(0.0));
     eigen.recompose()

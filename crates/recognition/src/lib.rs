@@ -47,6 +47,7 @@ mod place;
 mod places;
 mod poses;
 mod query;
+mod relative_pose;
 mod report;
 mod search;
 mod verification;

@@ -6,9 +6,12 @@ use geometry::{Pose, PoseWithCovariance};
 use protocol::MatchOutcome;
 use sensors::{TruthRow, TruthTrack};
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// A pose that is off by more than this (m) and three of its standard deviations is one of another place.
 const WRONG_PLACE_M: f64 = 0.5;
+/// Errors are summed up in windows of so long (s) as well: a corner that is off is a small part of a drive.
+pub(super) const WINDOW_S: f64 = 5.0;
 /// Degrees of freedom of a pose.
 const DEGREES: f64 = 6.0;
 
@@ -56,6 +59,8 @@ pub struct DriveFigures {
     pub accepted: usize,
     /// Part of the drive in which the robot knew its pose in the map.
     pub localized: f64,
+    /// Poses in the map.
+    pub poses: usize,
     /// Normalized innovation squared of the answers per degree of freedom: 1 is consistent. `None` without an answer.
     pub innovation: Option<f64>,
     /// Errors of the robot's poses; of the live release `None` where the drive has no truth.
@@ -79,6 +84,8 @@ pub struct ErrorFigures {
     pub nees: Option<f64>,
     /// Number of poses.
     pub poses: usize,
+    /// Root mean square of the distance within each 5 s of the drive in which there are poses (m).
+    pub windows: BTreeMap<u32, f64>,
 }
 
 /// Images that were localized by themselves, as by a robot that starts there.
@@ -88,6 +95,8 @@ pub struct ColdFigures {
     pub images: usize,
     /// Those that were localized, in the right place as far as is known.
     pub localized: usize,
+    /// Those of them of which it is not known: where the drive has neither truth nor a pose in the live release.
+    pub unjudged: usize,
     /// Those that were localized in a wrong place: off by more than 0.5 m and three stated standard deviations.
     pub wrong: usize,
     /// Those that could be of several places.
@@ -112,6 +121,7 @@ impl DriveFigures {
             matched: events.clone().filter(|event| event.outcome == "matched").count(),
             accepted: events.filter(|event| event.accepted).count(),
             localized: localized as f64 / run.states.len().max(1) as f64,
+            poses: localized,
             innovation: (degrees > 0).then(|| sum / degrees as f64),
             errors: ErrorFigures::of(run, reference),
             cold: ColdFigures::of(run, reference),
@@ -124,11 +134,16 @@ impl ErrorFigures {
     fn of(run: &DriveRun, reference: &Reference) -> Option<Self> {
         let (mut squared_m, mut squared_rad, mut largest_m, mut poses) = (0.0, 0.0, 0.0_f64, 0);
         let (mut nees, mut with_nees) = (0.0, 0);
+        let mut windows: BTreeMap<u32, (f64, f64)> = BTreeMap::new();
+        let begin_ns = run.states.first().map_or(0, |state| state.stamp_ns);
         for state in &run.states {
             let Some(estimate) = &state.global_from_imu else { continue };
             let Some(pose) = reference.pose(state.stamp_ns) else { continue };
             let distance = distance(estimate, &pose);
             squared_m += distance.powi(2);
+            let window = ((state.stamp_ns - begin_ns) as f64 * 1e-9 / WINDOW_S) as u32;
+            let (sum, count) = windows.entry(window).or_default();
+            (*sum, *count) = (*sum + distance.powi(2), *count + 1.0);
             squared_rad += estimate.pose.rotation.angle_to(&pose.rotation).powi(2);
             largest_m = largest_m.max(distance);
             poses += 1;
@@ -144,6 +159,10 @@ impl ErrorFigures {
             rmse_deg: root_mean(squared_rad).to_degrees(),
             nees: (with_nees > 0).then(|| nees / f64::from(with_nees)),
             poses: poses as usize,
+            windows: windows
+                .into_iter()
+                .map(|(window, (sum, count))| (window, (sum / count).sqrt()))
+                .collect(),
         })
     }
 }
@@ -157,7 +176,9 @@ impl ColdFigures {
             let Some(fix) = &image.global_from_imu else { continue };
             let is_wrong =
                 |pose: Pose| distance(fix, &pose) > WRONG_PLACE_M + 3.0 * fix.sigma_p_m() * 3_f64.sqrt();
-            if reference.pose(image.stamp_ns).is_some_and(is_wrong) {
+            let place = reference.pose(image.stamp_ns);
+            figures.unjudged += usize::from(place.is_none());
+            if place.is_some_and(is_wrong) {
                 figures.wrong += 1;
             } else {
                 right_ns.push(image.stamp_ns);

@@ -1,7 +1,7 @@
 //! What a candidate is refused for.
 
 use super::ReviewedDrive;
-use super::figures::{DriveFigures, ErrorFigures};
+use super::figures::{DriveFigures, ErrorFigures, WINDOW_S};
 use super::structure::Structure;
 use serde::Serialize;
 
@@ -24,7 +24,7 @@ pub struct Gates {
     #[arg(long, value_name = "NEES", default_value_t = Self::DEFAULT.max_nees,
         value_parser = not_negative, help_heading = GATES)]
     pub max_nees: f64,
-    /// Largest distance between the poses in both, for a drive without truth, m
+    /// Largest distance between the poses in both, for a drive without truth; with truth, largest growth of the error within 5 s, m
     #[arg(long, value_name = "M", default_value_t = Self::DEFAULT.max_disagreement_m,
         value_parser = not_negative, help_heading = GATES)]
     pub max_disagreement_m: f64,
@@ -43,11 +43,22 @@ pub struct Gates {
     #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_unexplained,
         value_parser = not_negative, help_heading = GATES)]
     pub max_unexplained: f64,
-    /// This part of the places of the live release, cubes of 10 m, may have no keyframe near any more
+    /// So many places, cubes of 10 m, may have moved: most of their keyframes by more than the covariance of the live release explains
+    #[arg(long, value_name = "N", default_value_t = Self::DEFAULT.max_moved_places, help_heading = GATES)]
+    pub max_moved_places: usize,
+    /// This part of the places of the live release, cubes of 10 m by the direction of view, and ten at most, may have no keyframe near
+    /// that looks the same way
     #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.max_emptied,
         value_parser = not_negative, help_heading = GATES)]
     pub max_emptied: f64,
+    /// Of the poses of a drive without truth, this part must be within the live release: what it does not know cannot be judged
+    #[arg(long, value_name = "PART", default_value_t = Self::DEFAULT.min_judged,
+        value_parser = not_negative, help_heading = GATES)]
+    pub min_judged: f64,
 }
+
+/// Places that may be emptied in a map of any size, by default.
+const MOST_EMPTIED: f64 = 10.0;
 
 const GATES: &str = "Gates";
 
@@ -67,7 +78,9 @@ impl Gates {
         max_map_initialization_s: 2.0,
         max_ambiguous: 0.05,
         max_unexplained: 0.01,
+        max_moved_places: 0,
         max_emptied: 0.05,
+        min_judged: 0.5,
     };
 }
 
@@ -92,7 +105,8 @@ impl Gates {
     /// What the maps themselves are refused for.
     pub(super) fn structure(&self, structure: &Structure) -> Vec<Refusal> {
         let mut refusals = Refusals { drive: None, all: Vec::new() };
-        let Structure { common_keyframes, unexplained, places, emptied_m, live, candidate, .. } = structure;
+        let Structure { common_keyframes, unexplained, moved_m, places, emptied_m, live, candidate, .. } =
+            structure;
         let allowed = |part: f64, of: usize| part * of as f64;
         if unexplained.len() as f64 > allowed(self.max_unexplained, *common_keyframes) {
             let largest = structure.difference.keyframes.motion.map_or(0.0, |motion| motion.largest_m);
@@ -101,10 +115,19 @@ impl Gates {
                 unexplained.len()
             ));
         }
-        if emptied_m.len() as f64 > allowed(self.max_emptied, *places) {
+        if moved_m.len() > self.max_moved_places {
+            let [x, y, z] = moved_m.first().copied().unwrap_or_default();
+            refusals.add("--max-moved-places", format!(
+                "most keyframes of {} places moved by more than the covariance of the live map explains, one at ({x:.1}, {y:.1}, {z:.1}) m",
+                moved_m.len()
+            ));
+        }
+        // A larger part is meant for maps of any size.
+        let most = if self.max_emptied > Self::DEFAULT.max_emptied { f64::INFINITY } else { MOST_EMPTIED };
+        if emptied_m.len() as f64 > allowed(self.max_emptied, *places).min(most) {
             let [x, y, z] = emptied_m.first().copied().unwrap_or_default();
             refusals.add("--max-emptied", format!(
-                "{} of {places} places of the live map have no keyframe near any more, one at ({x:.1}, {y:.1}, {z:.1}) m",
+                "{} of {places} places of the live map have no keyframe any more that looks the same way, one at ({x:.1}, {y:.1}, {z:.1}) m",
                 emptied_m.len()
             ));
         }
@@ -133,6 +156,7 @@ impl Gates {
             );
         }
         self.answers(live, candidate, &mut refusals);
+        self.judged(candidate, &mut refusals);
         match (&live.errors, &candidate.errors) {
             (Some(live), Some(candidate)) if candidate.is_to_truth => {
                 self.errors(live, candidate, &mut refusals);
@@ -147,6 +171,18 @@ impl Gates {
         }
         self.cold(live, candidate, &mut refusals);
         refusals.all
+    }
+
+    /// Poses beyond what the live map knows cannot be compared with any.
+    fn judged(&self, candidate: &DriveFigures, refusals: &mut Refusals) {
+        let judged = candidate.errors.as_ref().map_or(0, |errors| errors.poses);
+        if (judged as f64) < self.min_judged * candidate.poses as f64 {
+            refusals.add("--min-judged", format!(
+                "{judged} of {} poses can be compared with the truth or with poses in the live map: record the truth, drive where the live map is known as well, \
+                 or look at the report and give `--min-judged 0`",
+                candidate.poses
+            ));
+        }
     }
 
     fn answers(&self, live: &DriveFigures, candidate: &DriveFigures, refusals: &mut Refusals) {
@@ -174,6 +210,18 @@ impl Gates {
             refusals.add("--max-error-growth", format!(
                 "poses are off the truth by {:.3} m RMS and {:.3} m at most, {:.3} m and {:.3} m in the live map",
                 candidate.rmse_m, candidate.largest_m, live.rmse_m, live.largest_m
+            ));
+        }
+        let worse = candidate.windows.iter().map(|(window, rmse_m)| {
+            let of_live = live.windows.get(window).copied().unwrap_or(live.rmse_m);
+            let limit_m = (self.max_error_growth * of_live).max(of_live + self.max_disagreement_m);
+            (*window, *rmse_m, of_live, rmse_m - limit_m)
+        });
+        let worst = worse.filter(|(.., beyond)| *beyond > 0.0).max_by(|a, b| a.3.total_cmp(&b.3));
+        if let Some((window, rmse_m, of_live, _)) = worst {
+            refusals.add("--max-disagreement-m", format!(
+                "from {:.0} s of the drive on, poses are off the truth by {rmse_m:.3} m RMS within {WINDOW_S:.0} s, {of_live:.3} m in the live map",
+                f64::from(window) * WINDOW_S
             ));
         }
         let [nees, of_live] = [candidate, live].map(|errors| errors.nees.unwrap_or(0.0));
@@ -253,7 +301,9 @@ mod tests {
             "max-map-initialization-s",
             "max-ambiguous",
             "max-unexplained",
+            "max-moved-places",
             "max-emptied",
+            "min-judged",
         ] {
             assert!(gates(&format!("--{gate}=0")).is_ok(), "{gate}");
             for wrong in ["nan", "inf", "-1", "much"] {

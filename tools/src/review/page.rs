@@ -88,8 +88,9 @@ fn map_rows(review: &Review) -> Vec<[String; 3]> {
             String::new(),
             format!("{} of {}", review.structure.unexplained.len(), review.structure.common_keyframes),
         ),
+        row("places that moved so", String::new(), review.structure.moved_m.len().to_string()),
         row(
-            "places without a keyframe now",
+            "places without a keyframe that looks the same way",
             String::new(),
             format!("{} of {}", review.structure.emptied_m.len(), review.structure.places),
         ),
@@ -124,6 +125,7 @@ fn drive_rows(live: &DriveFigures, candidate: &DriveFigures) -> Vec<[String; 3]>
         both("NEES", &|figures| number(figures.errors.as_ref().and_then(|errors| errors.nees), 2)),
         cold("images localized by themselves", &|cold| format!("{} of {}", cold.localized, cold.images)),
         cold("in a wrong place", &|cold| cold.wrong.to_string()),
+        cold("of a place that neither truth nor the live map tells", &|cold| cold.unjudged.to_string()),
         cold("ambiguous", &|cold| cold.ambiguous.to_string()),
         cold("first pose from cold, s: median, 95 %", &|cold| {
             format!("{:.1}, {:.1}", cold.map_initialization_median_s, cold.map_initialization_p95_s)

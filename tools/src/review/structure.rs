@@ -1,6 +1,8 @@
 //! What is different between two versions of a map, whatever drives saw of it.
 
-use geometry::Pose;
+use geometry::uncertain_pose::isotropic_covariance;
+use geometry::{Pose, PoseWithCovariance};
+use map::Keyframe;
 use map::difference::{MapDifference, PLACE_SIZE_M};
 use nalgebra::Vector3;
 use protocol::KeyframeId;
@@ -14,6 +16,17 @@ const UNEXPLAINED: f64 = 27.86;
 /// Smaller motions (m, rad) are no reason to refuse: keyframes that define the frame state next to no uncertainty.
 const SMALL_MOTION_M: f64 = 0.05;
 const SMALL_MOTION_RAD: f64 = 0.01;
+/// A keyframe's motion is compared with that of the nearest keyframe at each of these distances, or beyond (m).
+const NEIGHBOURS_M: [f64; 3] = [1.0, 4.0, 16.0];
+/// Standard deviation of a relative pose beyond what the map states (rad, m): keyframes that share all of their errors state none.
+const RELATIVE_SIGMA_RAD: f64 = 0.002;
+const RELATIVE_SIGMA_M: f64 = 0.01;
+/// A place has moved where so many of its keyframes, and more than half, moved by more than the covariance explains.
+const MOVED_KEYFRAMES: usize = 3;
+/// A keyframe shows what others show where the cosine of the angle between their optical axes is at least this (60 deg).
+const SAME_DIRECTION: f64 = 0.5;
+/// Directions of view by which the keyframes of a place are told apart.
+const DIRECTIONS: f64 = 4.0;
 
 /// How two versions of a map differ.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -26,11 +39,13 @@ pub struct Structure {
     pub difference: MapDifference,
     /// Keyframes of both.
     pub common_keyframes: usize,
-    /// Those that moved by more than the covariance of the live map explains.
+    /// Those that moved by more than the covariance of the live map explains: in the map's frame, or relative to others.
     pub unexplained: Vec<KeyframeId>,
-    /// Places of the live map: cubes of 10 m with keyframes.
+    /// Centres of the cubes of 10 m most of whose keyframes are of these (m).
+    pub moved_m: Vec<[f64; 3]>,
+    /// Places of the live map: cubes of 10 m with keyframes, by four directions of view.
     pub places: usize,
-    /// Centres of those within 10 m of which the candidate has no keyframe (m).
+    /// Centres of those within 5 m of which the candidate has no keyframe that looks the same way (m).
     pub emptied_m: Vec<[f64; 3]>,
     /// What moved, for the page: from where to where.
     #[serde(skip)]
@@ -78,6 +93,7 @@ impl Structure {
             difference: MapDifference::between(&live.compared(), &candidate.compared()),
             common_keyframes: 0,
             unexplained: Vec::new(),
+            moved_m: Vec::new(),
             places: 0,
             emptied_m: Vec::new(),
             motions: Vec::new(),
@@ -85,6 +101,10 @@ impl Structure {
             removed: Vec::new(),
             unmoved: Vec::new(),
         };
+        let mut places = BTreeMap::<[i64; 3], MovedPlace>::new();
+        let in_both = live.keyframes().filter(|keyframe| candidate.keyframe(keyframe.id).is_some());
+        let common: Vec<(KeyframeId, Vector3<f64>)> =
+            in_both.map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose.translation)).collect();
         for before in live.keyframes() {
             let (id, former) = (before.id, &before.global_from_keyframe);
             let from = in_plane(&former.pose);
@@ -93,17 +113,22 @@ impl Structure {
                 continue;
             };
             structure.common_keyframes += 1;
+            let place = places.entry(cube_of(&former.pose.translation)).or_default();
+            place.positions_m += former.pose.translation;
+            place.keyframes += 1;
             if former.pose == now {
                 structure.unmoved.push(from);
                 continue;
             }
             structure.motions.push([from, in_plane(&now)]);
-            let is_small = (now.translation - former.pose.translation).norm() < SMALL_MOTION_M
-                && former.pose.rotation.angle_to(&now.rotation) < SMALL_MOTION_RAD;
-            if !is_small && former.nees(&now).is_none_or(|nees| nees > UNEXPLAINED) {
+            if is_unexplained(former, &now) || is_unexplained_by_neighbours(live, candidate, before, &common)
+            {
                 structure.unexplained.push(id);
+                place.unexplained += 1;
             }
         }
+        let moved = places.values().filter(|place| place.has_moved());
+        structure.moved_m = moved.map(|place| (place.positions_m / place.keyframes as f64).into()).collect();
         let new = candidate.keyframes().filter(|keyframe| live.keyframe(keyframe.id).is_none());
         structure.added = new.map(|keyframe| in_plane(&keyframe.global_from_keyframe.pose)).collect();
         structure.look_for_emptied(live, candidate);
@@ -111,23 +136,97 @@ impl Structure {
     }
 
     fn look_for_emptied(&mut self, live: &LoadedMap, candidate: &LoadedMap) {
-        let mut places: BTreeMap<[i64; 3], (Vector3<f64>, f64)> = BTreeMap::new();
+        let mut places: BTreeMap<([i64; 3], i64), Vec<View>> = BTreeMap::new();
         for keyframe in live.keyframes() {
-            let position = keyframe.global_from_keyframe.pose.translation;
-            let cube: [i64; 3] = position.map(|along| (along / PLACE_SIZE_M).floor() as i64).into();
-            let (sum, count) = places.entry(cube).or_default();
-            (*sum, *count) = (*sum + position, *count + 1.0);
+            let view = View::of(keyframe);
+            let direction =
+                (view.axis.y.atan2(view.axis.x) / std::f64::consts::TAU * DIRECTIONS).floor() as i64;
+            places.entry((cube_of(&view.position), direction)).or_default().push(view);
         }
         self.places = places.len();
-        for (sum, count) in places.into_values() {
-            let centre = sum / count;
-            let is_near = |position: Vector3<f64>| (position - centre).norm() <= PLACE_SIZE_M;
-            if !candidate.keyframes().any(|keyframe| is_near(keyframe.global_from_keyframe.pose.translation))
-            {
+        let views: Vec<View> = candidate.keyframes().map(View::of).collect();
+        for ((cube, _), former) in places {
+            let mean = |of: &dyn Fn(&View) -> Vector3<f64>| {
+                former.iter().map(of).sum::<Vector3<f64>>() / former.len() as f64
+            };
+            let (centre, axis) = (mean(&|view| view.position), mean(&|view| view.axis).normalize());
+            let is_left = |view: &View| {
+                let is_near =
+                    (view.position - centre).norm() <= 0.5 * PLACE_SIZE_M || cube_of(&view.position) == cube;
+                is_near && view.axis.dot(&axis) >= SAME_DIRECTION
+            };
+            if !views.iter().any(is_left) {
                 self.emptied_m.push(centre.into());
             }
         }
     }
+}
+
+/// Where a keyframe is (m) and where it looks, in G.
+struct View {
+    position: Vector3<f64>,
+    axis: Vector3<f64>,
+}
+
+impl View {
+    fn of(keyframe: &Keyframe) -> Self {
+        let pose = &keyframe.global_from_keyframe.pose;
+        Self { position: pose.translation, axis: pose.rotation * Vector3::z() }
+    }
+}
+
+/// The keyframes of a cube that both maps have.
+#[derive(Default)]
+struct MovedPlace {
+    /// Sum of their positions (m).
+    positions_m: Vector3<f64>,
+    keyframes: usize,
+    /// Those that moved by more than the covariance explains.
+    unexplained: usize,
+}
+
+impl MovedPlace {
+    fn has_moved(&self) -> bool {
+        self.unexplained >= MOVED_KEYFRAMES && 2 * self.unexplained > self.keyframes
+    }
+}
+
+/// The cube of 10 m of a position in G (m).
+fn cube_of(position: &Vector3<f64>) -> [i64; 3] {
+    position.map(|along| (along / PLACE_SIZE_M).floor() as i64).into()
+}
+
+/// Whether a motion is larger than the covariance of the pose before explains.
+fn is_unexplained(former: &PoseWithCovariance, now: &Pose) -> bool {
+    let is_small = (now.translation - former.pose.translation).norm() < SMALL_MOTION_M
+        && former.pose.rotation.angle_to(&now.rotation) < SMALL_MOTION_RAD;
+    !is_small && former.nees(now).is_none_or(|nees| nees > UNEXPLAINED)
+}
+
+/// Whether a keyframe moved relative to others, near and far, by more than the covariance of their relative pose explains: a map that is
+/// uncertain as a whole knows its parts far better.
+///
+/// # Arguments
+/// * `common`: keyframes of both maps, and where they are in the live one (m).
+fn is_unexplained_by_neighbours(
+    live: &LoadedMap,
+    candidate: &LoadedMap,
+    keyframe: &Keyframe,
+    common: &[(KeyframeId, Vector3<f64>)],
+) -> bool {
+    let position = keyframe.global_from_keyframe.pose.translation;
+    let nearest_beyond = |metres: f64| {
+        let apart = common.iter().map(|(id, other)| ((other - position).norm(), *id));
+        apart.filter(|(apart, _)| *apart >= metres).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, id)| id)
+    };
+    let pose_now = |id: KeyframeId| candidate.keyframe(id).map(|keyframe| keyframe.global_from_keyframe.pose);
+    NEIGHBOURS_M.into_iter().filter_map(nearest_beyond).any(|other| {
+        let Some(mut former) = live.relative_pose(other, keyframe.id) else { return false };
+        former.covariance += isotropic_covariance(RELATIVE_SIGMA_RAD, RELATIVE_SIGMA_M);
+        let now =
+            pose_now(other).zip(pose_now(keyframe.id)).map(|(other, own)| other.inverse().compose(&own));
+        now.is_some_and(|now| is_unexplained(&former, &now))
+    })
 }
 
 fn in_plane(pose: &Pose) -> [f64; 2] {
