@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use map::sessions::{Session, SessionId};
 use map::{MapContents, StoreError, store};
 use testing::{Place, PlaceOptions};
 
@@ -137,6 +138,31 @@ fn a_full_disk_is_an_error_and_the_old_map_stays() {
         }
     }
     assert!((2..6).contains(&whole), "{whole} of 10 were written");
+}
+
+#[test]
+fn a_ledger_that_nobody_could_read_is_not_written_and_the_old_map_stays() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("map");
+    store::save_map(&path, &place(1), false).unwrap();
+    let before = read(&path);
+    let mut long = before.clone();
+    let last = long.info.last_session_keyframe().unwrap();
+    let template = Session { robot: Some("r".repeat(256)), ..long.info.sessions[0].clone() };
+    long.info.sessions.extend((1..90_000_u64).map(|at| Session {
+        id: SessionId::from_bytes(u128::from(at).to_le_bytes()),
+        name: "n".repeat(256),
+        keyframe_ids: [last + at; 2],
+        ..template.clone()
+    }));
+    let refused = store::save_map(&path, &long, true).unwrap_err().to_string();
+    assert!(refused.contains("ledger of its 90000 sessions") && refused.contains("unchanged"), "{refused}");
+    assert_eq!(read(&path), before);
+    let files: Vec<_> = std::fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert!(files.iter().all(|file| file != "version-2.segments" && file != "manifest.json.unfinished"));
+    long.info.sessions.truncate(1000);
+    assert_eq!(store::save_map(&path, &long, true).unwrap().version, 2);
+    assert_eq!(read(&path).info.sessions.len(), 1000);
 }
 
 #[test]

@@ -21,7 +21,7 @@ use crate::store::{ReadRelease, ReleaseStore};
 /// # Errors
 /// [`ReleaseError::NoCandidate`], [`ReleaseError::Overtaken`] where another release came since, [`ReleaseError::Decided`] where it was
 /// rejected, [`ReleaseError::SourceNotSigned`] where the store signs and the candidate is not signed with its key,
-/// [`ReleaseError::Conflict`], [`ReleaseError::Cleaning`], [`ReleaseError::TooLong`], [`ReleaseError::Store`].
+/// [`ReleaseError::Conflict`], [`ReleaseError::Cleaning`], [`ReleaseError::TooLong`], [`ReleaseError::LongLedger`], [`ReleaseError::Store`].
 pub async fn promote(store: &ReleaseStore, candidate: u64, note: &Note) -> Result<Release, ReleaseError> {
     let proposed = store.candidate_to_sign(candidate).await?;
     let newest = store.newest().await?;

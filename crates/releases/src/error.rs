@@ -130,6 +130,22 @@ pub enum ReleaseError {
         /// The limit.
         most: u64,
     },
+    /// The same, and most of it is the ledger of the map's sessions.
+    #[error(
+        "{object} would have {bytes} bytes, more than the {most} that can be read, most of them the ledger of its {sessions} sessions: nothing \
+         was published; build the map anew from recent recordings (driftless build-map), publish it elsewhere, and let robots record \
+         longer sessions (onboard --hand-in-minutes)"
+    )]
+    LongLedger {
+        /// The file.
+        object: String,
+        /// How many the ledger has.
+        sessions: usize,
+        /// Bytes of the file.
+        bytes: u64,
+        /// The limit.
+        most: u64,
+    },
     /// The map is not a version of the one that is published there.
     #[error(
         "the map has the identity {given}, and {place} holds releases of another map ({published}): publish it elsewhere"

@@ -85,7 +85,7 @@ pub struct Published {
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
 /// [`ReleaseError::LosesSessions`] where the newest release has sessions that the map lacks and these may not be lost,
 /// [`ReleaseError::Conflict`] and [`ReleaseError::CandidateConflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments,
-/// [`ReleaseError::TooLong`], [`ReleaseError::Store`].
+/// [`ReleaseError::TooLong`], [`ReleaseError::LongLedger`], [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
     mut contents: MapContents,
@@ -214,7 +214,7 @@ fn ensure_keeps_sessions(
 ///
 /// # Errors
 /// [`ReleaseError::NoRelease`], [`ReleaseError::SourceNotSigned`] where the store signs and the former release is not
-/// signed with its key, [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`], [`ReleaseError::TooLong`].
+/// signed with its key, [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`], [`ReleaseError::TooLong`], [`ReleaseError::LongLedger`].
 pub async fn roll_back(store: &ReleaseStore, number: u64, note: &Note) -> Result<Outcome, ReleaseError> {
     let former = store.release_to_sign(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());

@@ -134,11 +134,30 @@ impl MapContents {
                 problems.push(LedgerProblem::SeenAgain { session: session(), stated, found });
             }
         }
-        for (at, session) in sessions.iter().enumerate() {
-            problems.extend(sessions[..at].iter().filter_map(|known| session.overlap(known)).map(Into::into));
-        }
+        problems.extend(overlaps(sessions).into_iter().map(Into::into));
         problems
     }
+}
+
+/// The sessions that have readings of an earlier one, in the order of the ledger. Only those are compared whose times overlap: a ledger may
+/// have a hundred thousand.
+fn overlaps(sessions: &[Session]) -> Vec<SessionOverlap> {
+    let mut by_begin: Vec<usize> = (0..sessions.len()).collect();
+    by_begin.sort_by_key(|at| sessions[*at].begin_ns);
+    let mut present: Vec<usize> = Vec::new();
+    let mut found: Vec<([usize; 2], SessionOverlap)> = Vec::new();
+    for at in by_begin {
+        present.retain(|other| sessions[*other].end_ns >= sessions[at].begin_ns);
+        for other in &present {
+            let (earlier, later) = (at.min(*other), at.max(*other));
+            found.extend(
+                sessions[later].overlap(&sessions[earlier]).map(|overlap| ([later, earlier], overlap)),
+            );
+        }
+        present.push(at);
+    }
+    found.sort_by_key(|(positions, _)| *positions);
+    found.into_iter().map(|(_, overlap)| overlap).collect()
 }
 
 /// Checks what holds for the ledger of every map that has one: ids of keyframes ascend from session to session, those of sessions

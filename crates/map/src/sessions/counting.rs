@@ -6,6 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use protocol::KeyframeId;
 use sha2::{Digest as _, Sha256};
 
+use super::budget::thin_out_samples;
 use super::recorded::{ReadingSamples, Recorded};
 use super::session::{Session, SessionId};
 use crate::contents::MapContents;
@@ -66,10 +67,11 @@ impl MapContents {
         self.count_sessions();
     }
 
-    /// The ledger as it is stored now: counted, and new sessions with the time.
+    /// The ledger as it is stored now: counted, new sessions with the time, and older ones with fewer samples of their readings.
     pub fn sessions_to_store(&self) -> Vec<Session> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
         let mut sessions = self.counted_sessions();
+        thin_out_samples(&mut sessions);
         for session in &mut sessions {
             session.added_unix_s = session.added_unix_s.or(Some(now));
         }

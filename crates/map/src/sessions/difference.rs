@@ -1,5 +1,7 @@
 //! Sessions that came and went between two versions of a map.
 
+use std::collections::BTreeSet;
+
 use serde::Serialize;
 
 use super::session::{Session, SessionId};
@@ -30,7 +32,8 @@ impl SessionDifference {
     /// From one ledger to another.
     pub fn between(before: &[Session], now: &[Session]) -> Self {
         let only = |of: &[Session], other: &[Session]| {
-            let is_new = |session: &&Session| other.iter().all(|known| known.id != session.id);
+            let known: BTreeSet<SessionId> = other.iter().map(|session| session.id).collect();
+            let is_new = |session: &&Session| !known.contains(&session.id);
             of.iter().filter(is_new).map(NamedSession::from).collect()
         };
         Self { added: only(now, before), removed: only(before, now) }

@@ -9,12 +9,14 @@
 //! | `session` | [`Session`], [`SessionId`] |
 //! | `recorded` | [`RecordedDigest`]: what of a recording identifies it |
 //! | `overlap` | [`SessionOverlap`]: two sessions with the same readings |
+//! | `budget` | how many samples of readings are kept |
 //! | `counting` | what each session has in a map |
 //! | `pixel_noise` | the noise of the map's pixels, by that of its sessions |
 //! | `audit` | [`LedgerProblem`]: whether the ledger agrees with the map |
 //! | `difference` | [`SessionDifference`]: sessions that came and went |
 
 mod audit;
+mod budget;
 mod counting;
 mod difference;
 mod overlap;

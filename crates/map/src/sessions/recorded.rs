@@ -16,7 +16,8 @@ pub const MAX_SAMPLES: usize = 1024;
 /// Digests of some readings of an IMU, ascending.
 ///
 /// Which readings are sampled depends on nothing but the readings, so that two recordings that share some seconds share samples,
-/// whatever was cut off before and behind.
+/// whatever was cut off before and behind. Of two recordings with different numbers of samples, readings that both have are samples of both
+/// where their digests are below the largest of either: fewer samples only make short overlaps less likely to be found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReadingSamples(Vec<u64>);
 
@@ -27,6 +28,14 @@ impl ReadingSamples {
         digests.dedup();
         digests.truncate(MAX_SAMPLES);
         Self(digests)
+    }
+
+    /// Keeps those with the smallest digests.
+    ///
+    /// # Arguments
+    /// * `most`: how many, at most.
+    pub(super) fn thin_out(&mut self, most: usize) {
+        self.0.truncate(most);
     }
 
     /// The digests.

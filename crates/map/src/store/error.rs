@@ -184,4 +184,18 @@ pub enum WriteProblem {
     /// An element of the map cannot be stored.
     #[error("a record: {0}")]
     Record(RecordError),
+    /// What the map states as a whole is longer than any that is read, nearly all of it the ledger of its sessions.
+    #[error(
+        "its manifest, with the ledger of its {sessions} sessions, would have {bytes} bytes, more than the {most} that can be read. A map takes \
+         about 80,000 sessions: build it anew from recent recordings (driftless build-map), and let robots record longer ones \
+         (onboard --hand-in-minutes)"
+    )]
+    LongLedger {
+        /// How many the ledger has.
+        sessions: usize,
+        /// Bytes that the manifest would have.
+        bytes: u64,
+        /// The limit.
+        most: u64,
+    },
 }

@@ -17,8 +17,8 @@ const NEW_MANIFEST: &str = "manifest.json.unfinished";
 pub(super) const LOCK: &str = "lock";
 /// How the names of the files of versions begin and end.
 const VERSION: [&str; 2] = ["version-", ".segments"];
-/// A manifest lists a segment for some megabytes of map.
-const MAX_MANIFEST_BYTES: u64 = 64 << 20;
+/// A manifest lists a segment for some megabytes of map, and the sessions of its ledger, some 800 bytes each.
+pub(super) const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
 /// Name of the file of a version.
 pub(super) fn file_of(version: u64) -> String {

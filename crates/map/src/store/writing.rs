@@ -5,7 +5,9 @@ use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use super::error::{StoreError, WriteProblem};
-use super::folder::{Kind, LOCK, MANIFEST, Seen, ensure_free, entries, file_of, kind_of, version_of};
+use super::folder::{
+    Kind, LOCK, MANIFEST, MAX_MANIFEST_BYTES, Seen, ensure_free, entries, file_of, kind_of, version_of,
+};
 use super::stored_map::SavedMap;
 use crate::contents::{MapContents, RunningDigest, Sorted};
 use crate::file::manifest::{AddedSegments, Manifest};
@@ -128,9 +130,16 @@ fn write_version(
     let info = MapMetadata { version, identity: Some(identity), sessions, ..contents.info.clone() };
     let manifest = Manifest { map: info, digest, frame, landmarks, added_features, images };
     let file = map.join(MANIFEST);
-    let written = manifest.encode().map_err(Into::into).and_then(|text| files::write_whole(&file, &text));
-    written.map_err(|source| WriteProblem::File { file, source })?;
+    let text = manifest.encode().map_err(|error| of_file(&file, error.into()))?;
+    ensure_readable(text.len() as u64, manifest.map.sessions.len())?;
+    files::write_whole(&file, &text).map_err(|source| WriteProblem::File { file, source })?;
     Ok(SavedMap { version, identity })
+}
+
+/// Checks that a manifest can be read again: as soon as it has its name, the version before it is removed.
+fn ensure_readable(bytes: u64, sessions: usize) -> Result<(), WriteProblem> {
+    let most = MAX_MANIFEST_BYTES;
+    if bytes > most { Err(WriteProblem::LongLedger { sessions, bytes, most }) } else { Ok(()) }
 }
 
 /// The file of a version while it is written.

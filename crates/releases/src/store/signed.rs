@@ -53,7 +53,7 @@ impl ReleaseStore {
     /// A release whose file can be read: where it would be too long, without the motions of single keyframes.
     ///
     /// # Errors
-    /// [`ReleaseError::TooLong`] where it is too long without them, too.
+    /// [`ReleaseError::TooLong`] where it is too long without them, too; [`ReleaseError::LongLedger`] where most of it is the ledger.
     pub(crate) fn fitted(&self, release: Release) -> Result<Release, ReleaseError> {
         self.fitted_to(release, MAX_RELEASE_BYTES)
     }
@@ -71,7 +71,13 @@ impl ReleaseStore {
         release.change = release.change.map(ReleasedChange::without_motions);
         let bytes = bytes_of(&release)?;
         if bytes > most {
-            return Err(ReleaseError::TooLong { object, bytes, most });
+            let sessions = &release.map.sessions;
+            let of_ledger = written(sessions).map_or(0, |text| text.len() as u64);
+            return Err(if of_ledger > bytes / 2 {
+                ReleaseError::LongLedger { object, sessions: sessions.len(), bytes, most }
+            } else {
+                ReleaseError::TooLong { object, bytes, most }
+            });
         }
         tracing::warn!(
             object,
@@ -157,7 +163,13 @@ mod tests {
         // The keyframe that moved by 0.25 m.
         assert!(fitted.stated_change.unwrap().sigma_p_m >= 0.25);
         assert_eq!(Release { change: release.change.clone(), ..shorter }, release);
-        let error = store.fitted_to(release, 1000).unwrap_err();
+        let error = store.fitted_to(release.clone(), 1000).unwrap_err();
         assert!(matches!(error, ReleaseError::TooLong { most: 1000, .. }), "{error}");
+        // Larger cells would not help where there are many sessions.
+        let mut many = release;
+        many.map.sessions = vec![many.map.sessions[0].clone(); 500];
+        let error = store.fitted_to(many, 1000).unwrap_err();
+        assert!(matches!(error, ReleaseError::LongLedger { sessions: 500, .. }), "{error}");
+        assert!(error.to_string().contains("ledger of its 500 sessions"), "{error}");
     }
 }
