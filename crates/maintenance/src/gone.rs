@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
 use crate::drive::Drive;
-use crate::existence::{ExistenceModel, log_odds, probability, updated};
+use crate::existence::{ExistenceModel, ThereThen, log_odds, probability, updated};
 use crate::position_grid::PositionGrid;
 use crate::rates::{DetectionRates, Shown};
 use crate::settings::Settings;
@@ -22,7 +22,8 @@ const SAME_OBJECT_M: f64 = 0.3;
 /// Landmarks that are there with a smaller probability support no keyframe. One that nobody passes keeps at least half of one.
 const MIN_SUPPORT: f64 = 0.2;
 
-/// Updates the existence of landmarks by what a session shows of them, unless another piece of its drive showed it.
+/// Updates the existence of landmarks by what a session shows of them, unless another piece of its drive showed it. Of one that is handed in
+/// late, what it missed says nothing of what was seen since, and what it saw says the less of what was missed since the longer before it was.
 ///
 /// # Arguments
 /// * `session`: ids of its keyframes.
@@ -39,27 +40,22 @@ pub(crate) fn update_existence(
     drive: &Drive,
     settings: &Settings,
 ) -> DetectionRates {
-    let model = ExistenceModel::new(settings.half_life_ns());
     let assumed = AssumedExistence::before(contents, session, stamp_ns, settings);
     let stated: BTreeMap<LandmarkId, LandmarkExistence> =
         contents.existence.iter().map(|existence| (existence.landmark, *existence)).collect();
+    let model = ExistenceModel::new(settings.half_life_ns());
     let before = |sighting: &Sighting| {
         let landmark = &contents.landmarks[sighting.landmark];
-        let mut of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
-        let counts = !drive.may_have_counted(of.stamp_ns);
-        if counts {
-            of.log_odds = model.predicted(of.log_odds, stamp_ns.saturating_sub(of.stamp_ns));
-            of.stamp_ns = of.stamp_ns.max(stamp_ns);
-        }
-        (of, counts)
+        let of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
+        let was_known = assumed.first_ns(landmark).is_some_and(|first_ns| first_ns <= stamp_ns);
+        Before::new(of, was_known, stamp_ns, drive, &model)
     };
     let expected: Vec<Shown> = sightings
         .iter()
         .filter(|sighting| sighting.exposures > 0)
-        .map(|sighting| Shown {
-            exposures: sighting.exposures,
-            seen: sighting.seen,
-            log_odds: before(sighting).0.log_odds,
+        .filter_map(|sighting| {
+            let log_odds = before(sighting).then?;
+            Some(Shown { exposures: sighting.exposures, seen: sighting.seen, log_odds })
         })
         .collect();
     let rates = DetectionRates::learned(&expected, FALSE_SIGHTING);
@@ -71,18 +67,79 @@ pub(crate) fn update_existence(
         }
     }
     for sighting in sightings {
-        let (mut of, counts) = before(sighting);
-        if counts {
-            let rate = rates.of(sighting.exposures);
-            of.log_odds = updated(of.log_odds, sighting.seen, rate, FALSE_SIGHTING);
-        }
-        if sighting.seen {
-            of.seen_ns = of.seen_ns.max(stamp_ns);
-        }
+        let of = before(sighting).after(sighting.seen, rates.of(sighting.exposures), stamp_ns);
         existence.insert(of.landmark, of);
     }
     contents.existence = existence.into_values().collect();
     rates
+}
+
+/// What is known of a landmark before a session, and how the session counts for it.
+struct Before {
+    of: LandmarkExistence,
+    counts: Counts,
+    /// The log-odds that it was there when the session passed; `None` where the map knows of it from a later time only.
+    then: Option<f64>,
+}
+
+/// How a session counts for a landmark.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Counts {
+    /// Another piece of its drive has counted, or the landmark was seen later: what it saw or missed before is no news of it.
+    Not,
+    /// It is the newest one.
+    Now,
+    /// It is older than one that missed the landmark: it was handed in late.
+    Late(ThereThen),
+}
+
+impl Before {
+    /// # Arguments
+    /// * `of`: by the sessions that were taken before.
+    /// * `was_known`: whether the map has an observation of it from before the end of the session.
+    /// * `stamp_ns`: when the session ended.
+    fn new(
+        mut of: LandmarkExistence,
+        was_known: bool,
+        stamp_ns: i64,
+        drive: &Drive,
+        model: &ExistenceModel,
+    ) -> Before {
+        let is_late = of.stamp_ns > stamp_ns;
+        let was_seen_since = is_late && of.seen_ns > stamp_ns;
+        let counts = if drive.may_have_counted(of.stamp_ns) || was_seen_since {
+            Counts::Not
+        } else if is_late {
+            Counts::Late(model.in_between([of.seen_ns, stamp_ns, of.stamp_ns]))
+        } else {
+            of.log_odds = model.predicted(of.log_odds, stamp_ns.saturating_sub(of.stamp_ns));
+            of.stamp_ns = stamp_ns;
+            Counts::Now
+        };
+        let then = match counts {
+            Counts::Late(then) => Some(then.log_odds(of.log_odds)),
+            Counts::Not if was_seen_since => Some(of.log_odds).filter(|_| was_known),
+            Counts::Not | Counts::Now => Some(of.log_odds),
+        };
+        Before { of, counts, then }
+    }
+
+    /// What is known of it with the session.
+    ///
+    /// # Arguments
+    /// * `rate`: probability that the session sees it where it is there.
+    fn after(self, seen: bool, rate: f64, stamp_ns: i64) -> LandmarkExistence {
+        let Before { mut of, counts, .. } = self;
+        of.log_odds = match counts {
+            Counts::Not => of.log_odds,
+            Counts::Now => updated(of.log_odds, seen, rate, FALSE_SIGHTING),
+            Counts::Late(then) => then.updated(of.log_odds, seen, rate, FALSE_SIGHTING),
+        };
+        if seen {
+            of.seen_ns = of.seen_ns.max(stamp_ns);
+        }
+        of
+    }
 }
 
 /// What is known of the existence of landmarks of which nothing is stated: they are as new as their newest observation.
@@ -110,6 +167,11 @@ impl AssumedExistence {
         let mut assumed = AssumedExistence::of(contents, now_ns, settings);
         assumed.stamps.retain(|keyframe, _| !session.contains(keyframe));
         assumed
+    }
+
+    /// When the oldest of the keyframes that observe a landmark was taken; 0 where that is not known.
+    fn first_ns(&self, landmark: &Landmark) -> Option<i64> {
+        landmark.observations.iter().filter_map(|seen| self.stamps.get(&seen.keyframe)).copied().min()
     }
 
     pub(crate) fn of_landmark(&self, landmark: &Landmark) -> LandmarkExistence {

@@ -277,6 +277,44 @@ fn pieces_of_one_drive_count_as_one_session() {
     assert_eq!((gone, of_late.len()), (0, of_one.len()));
 }
 
+/// A session that is handed in after those of later weeks.
+#[test]
+fn a_late_session_says_nothing_of_what_was_seen_since_and_little_of_what_was_missed_since() {
+    let settings = Settings::default();
+    let week = |week: i64| (Drive::new(FIRST_NS + 7 * week * DAY_NS, false), FIRST_NS + 7 * week * DAY_NS);
+    let odds = |map: &MapContents| -> BTreeMap<u64, f64> {
+        map.existence.iter().map(|of| (of.landmark, of.log_odds)).collect()
+    };
+    // Landmarks that robots see since the third week are new then: a session of the first week cannot have seen them.
+    let mut map = place();
+    map.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns = week(3).1);
+    map.existence.clear();
+    pass(&mut map, &week(4), |_| true, &settings);
+    let before = odds(&map);
+    for late in [0, 1, 2] {
+        pass(&mut map, &week(late), |_| false, &settings);
+    }
+    assert_eq!(odds(&map), before);
+    assert!(map.existence.iter().all(|of| of.stamp_ns == week(4).1 && of.seen_ns == week(4).1));
+    assert!(remove_gone(&mut map, &settings).landmarks.is_empty());
+
+    // Others are gone since the sixth week. A session of the second one saw them as did that of the first.
+    let mut map = place();
+    let gone: BTreeSet<u64> = map.landmarks.iter().map(|landmark| landmark.id).step_by(4).collect();
+    for of in [1, 6, 7] {
+        pass(&mut map, &week(of), |id| of < 6 || !gone.contains(&id), &settings);
+    }
+    let mut in_time = map.clone();
+    pass(&mut map, &week(2), |_| true, &settings);
+    pass(&mut in_time, &week(8), |_| true, &settings);
+    for of in map.existence.iter().filter(|of| gone.contains(&of.landmark)) {
+        let new = in_time.existence.iter().find(|other| other.landmark == of.landmark).unwrap();
+        assert!(probability(of.log_odds) < 0.3, "{}", probability(of.log_odds));
+        assert!(probability(new.log_odds) > 0.6, "{}", probability(new.log_odds));
+        assert_eq!((of.stamp_ns, of.seen_ns), (week(7).1, week(2).1));
+    }
+}
+
 /// What a session shows of a landmark of which nothing is stated yet is evidence for it, as what it misses is evidence against others.
 #[test]
 fn the_first_session_counts_what_it_sees() {
