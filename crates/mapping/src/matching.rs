@@ -3,7 +3,7 @@
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use vision::MatchOptions;
 
 use super::camera::Rig;
@@ -40,6 +40,8 @@ pub(super) type ImageId = (usize, usize);
 struct PosedImage {
     id: ImageId,
     group: usize,
+    /// Its number among the images of its group that have features, in the order of time.
+    number: usize,
     pose: Pose,
 }
 
@@ -52,15 +54,17 @@ impl PosedImage {
 
 /// All images of some views.
 fn images(rig: &Rig, views: &[KeyframeView<'_>]) -> Vec<PosedImage> {
-    let of_view = |(view, content): (usize, &KeyframeView<'_>)| -> Vec<PosedImage> {
-        let image = |(image, of): (usize, &super::keyframe_view::KeyframeImage<'_>)| PosedImage {
-            id: (view, image),
-            group: of.group,
-            pose: rig.camera_pose(of.group, &content.prior.pose),
-        };
-        content.images.iter().enumerate().map(image).collect()
-    };
-    views.iter().enumerate().flat_map(of_view).collect()
+    let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut images = Vec::new();
+    for (view, content) in views.iter().enumerate() {
+        for (image, of) in content.images.iter().enumerate() {
+            let count = counts.entry(of.group).or_default();
+            let pose = rig.camera_pose(of.group, &content.prior.pose);
+            images.push(PosedImage { id: (view, image), group: of.group, number: *count, pose });
+            *count += 1;
+        }
+    }
+    images
 }
 
 /// Pairs of images of the same camera that are near in time, each with the earlier one first, in order.
@@ -69,14 +73,16 @@ pub(super) fn pairs_in_time(
     views: &[KeyframeView<'_>],
     options: &BuildOptions,
 ) -> Vec<(ImageId, ImageId)> {
-    let images = images(rig, views);
+    neighbours_in_time(&images(rig, views), options.time_neighbours)
+}
+
+/// # Arguments
+/// * `count`: later images of the same camera that are neighbours of one.
+fn neighbours_in_time(images: &[PosedImage], count: usize) -> Vec<(ImageId, ImageId)> {
     let of_image = |at: usize| {
         let own = &images[at];
-        let near_in_time =
-            images[at + 1..].iter().take_while(|other| other.id.0 <= own.id.0 + options.time_neighbours);
-        let same_direction = |other: &&PosedImage| {
-            other.group == own.group && own.axis().angle(&other.axis()) <= MAX_ANGLE_IN_TIME
-        };
+        let near_in_time = images[at + 1..].iter().filter(|other| other.group == own.group).take(count);
+        let same_direction = |other: &&PosedImage| own.axis().angle(&other.axis()) <= MAX_ANGLE_IN_TIME;
         near_in_time.filter(same_direction).map(|other| (own.id, other.id)).collect::<Vec<_>>()
     };
     (0..images.len()).flat_map(of_image).collect()
@@ -91,13 +97,9 @@ pub(super) fn pairs(
     let mut pairs: BTreeSet<(ImageId, ImageId)> = pairs_in_time(rig, views, options).into_iter().collect();
     let images = images(rig, views);
     for own in &images {
-        let is_candidate = |other: &&PosedImage| {
-            let gap = other.id.0.abs_diff(own.id.0);
-            gap > if other.group == own.group { options.time_neighbours } else { 0 }
-        };
         let mut near_in_space: Vec<(f64, ImageId)> = images
             .iter()
-            .filter(is_candidate)
+            .filter(|other| !is_near_in_time(own, other, options.time_neighbours))
             .filter_map(|other| Some((spatial_distance(own, other)?, other.id)))
             .collect();
         near_in_space.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -105,6 +107,11 @@ pub(super) fn pairs(
         pairs.extend(nearest.map(|&(_, other)| (own.id.min(other), own.id.max(other))));
     }
     pairs.into_iter().collect()
+}
+
+/// Whether two images are of one instant, or of one camera with fewer than so many images between them.
+fn is_near_in_time(own: &PosedImage, other: &PosedImage, count: usize) -> bool {
+    own.id.0 == other.id.0 || own.group == other.group && own.number.abs_diff(other.number) <= count
 }
 
 /// Distance measure of two images from position and direction, `None` for images that hardly overlap.
@@ -224,6 +231,26 @@ mod tests {
     use crate::correlations::tests::Neighbours;
     use rand::SeedableRng;
     use rand::rngs::StdRng;
+
+    /// A rig whose two cameras take turns, with three views that only bridge a gap between two images.
+    #[test]
+    fn neighbours_in_time_are_images_of_the_same_camera() {
+        let image =
+            |at: usize| PosedImage { id: (4 * at, 0), group: at % 2, number: at / 2, pose: Pose::identity() };
+        let images: Vec<PosedImage> = (0..20).map(image).collect();
+        let pairs = neighbours_in_time(&images, 3);
+        let of_first: Vec<usize> =
+            pairs.iter().filter(|(own, _)| own.0 == 0).map(|(_, other)| other.0 / 4).collect();
+        assert_eq!(of_first, [2, 4, 6]);
+        // All but the last three of each camera have three.
+        assert_eq!(pairs.len(), 2 * (7 * 3 + 2 + 1));
+        for (own, other) in &pairs {
+            let [own, other] = [own, other].map(|id| &images[id.0 / 4]);
+            assert!(is_near_in_time(own, other, 3) && own.group == other.group);
+        }
+        assert!(!is_near_in_time(&images[0], &images[8], 3) && !is_near_in_time(&images[0], &images[1], 3));
+        assert!(is_near_in_time(&images[0], &PosedImage { group: 1, ..image(0) }, 3));
+    }
 
     /// Mean squared epipolar error of a point that both images see, in standard deviations, over poses that err as a map states.
     fn mean_square(is_correlated: bool) -> f64 {
