@@ -5,9 +5,9 @@ use std::ops::RangeInclusive;
 
 use map::{Keyframe, Landmark, MapContents, edit};
 use mapping::{
-    BuildOptions, ExtendError, ExtensionReport, LocatedErrors, MAX_SIGMA_PX, MapPoses, Progress, Stage,
-    check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown, put_back,
-    run_odometry,
+    BuildOptions, ExtendError, ExtensionReport, Former, LocatedErrors, MAX_SIGMA_PX, MapPoses, Progress,
+    Stage, check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown,
+    put_back, run_odometry,
 };
 use protocol::{FeatureSet, KeyframeId, LandmarkId};
 use sensors::Sequence;
@@ -93,15 +93,28 @@ pub(crate) fn take_session_by_parts(
     part.info.sessions = map.sessions_or_one(&map.info.name);
     let Taken { contents, errors, lost, mut report } = work.take(&part, Some((map, &keyframes)))?;
     contents.validate()?;
-    let has_new = report.kept_keyframes > 0;
+    let former = Former::of(map, &part, &contents);
     put_back(map, &part, contents, &lost, errors);
+    match complete(map, &report, work.progress) {
+        Ok(()) => {
+            (report.keyframes, report.landmarks) = (map.keyframes.len(), map.landmarks.len());
+            Ok(report)
+        }
+        Err(refusal) => {
+            former.restore(map);
+            Err(refusal)
+        }
+    }
+}
+
+/// Completes a map that a part was put back into, and checks it.
+fn complete(map: &mut MapContents, report: &SessionReport, progress: Progress<'_>) -> Result<(), Refusal> {
     map.info.sigma_px = map.info.covering_sigma_px();
     remove_gone_of_added_kinds(map, &report.gone_m);
-    if has_new {
-        find_aliases_of_independent(map, work.progress).map_err(ExtendError::from)?;
+    if report.kept_keyframes > 0 {
+        find_aliases_of_independent(map, progress).map_err(ExtendError::from)?;
     }
-    (report.keyframes, report.landmarks) = (map.keyframes.len(), map.landmarks.len());
-    Ok(report)
+    Ok(map.validate()?)
 }
 
 /// What a session makes of a map, or of a part of it.

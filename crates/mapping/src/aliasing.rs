@@ -5,7 +5,7 @@ use map::contents::MapContents;
 use map::{Alias, KeyframeAliases};
 use protocol::KeyframeId;
 use recognition::LoadedMap;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::error::BuildError;
 use super::progress::{Progress, Stage};
@@ -14,7 +14,7 @@ use super::progress::{Progress, Stage};
 /// taken for. A former keyframe that a new one looks like gets the new one as an alias; it is not compared again.
 ///
 /// # Errors
-/// [`BuildError`] for a map that cannot be searched.
+/// [`BuildError`] for a map that cannot be searched, which remains as it was.
 pub fn find_aliases(contents: &mut MapContents, progress: Progress<'_>) -> Result<(), BuildError> {
     let searched = contents.clone();
     find_aliases_in(searched, contents, progress)
@@ -42,15 +42,16 @@ fn find_aliases_in(
     contents: &mut MapContents,
     progress: Progress<'_>,
 ) -> Result<(), BuildError> {
-    let mut known: BTreeMap<KeyframeId, Vec<Alias>> =
-        contents.aliases.drain(..).map(|aliases| (aliases.keyframe, aliases.places)).collect();
+    let known: BTreeSet<KeyframeId> = contents.aliases.iter().map(|aliases| aliases.keyframe).collect();
     let ids = contents.keyframes.iter().map(|keyframe| keyframe.id);
-    let new: Vec<KeyframeId> = ids.filter(|id| !known.contains_key(id)).collect();
+    let new: Vec<KeyframeId> = ids.filter(|id| !known.contains(id)).collect();
     let map = LoadedMap::from_contents(searched)?;
     let search = |at: usize| map.keyframe_aliases(new[at]);
     let found = parallel::map(new.len(), search, |done| progress(Stage::Aliasing, done, new.len()));
+    let found: Vec<KeyframeAliases> = found.into_iter().collect::<Result<_, _>>()?;
+    let mut known: BTreeMap<KeyframeId, Vec<Alias>> =
+        contents.aliases.drain(..).map(|aliases| (aliases.keyframe, aliases.places)).collect();
     for aliases in found {
-        let aliases = aliases?;
         for place in &aliases.places {
             let seen_from = Alias { keyframe: aliases.keyframe, log_odds: place.log_odds };
             if let Some(former) = known.get_mut(&place.keyframe) {
@@ -71,6 +72,20 @@ fn find_aliases_in(
 mod tests {
     use super::*;
     use testing::{Place, PlaceOptions};
+
+    #[test]
+    fn a_map_that_cannot_be_searched_keeps_its_aliases() {
+        let place = Place::new(&PlaceOptions { keyframes: 4, landmarks: 200, ..PlaceOptions::default() });
+        let mut map = place.map;
+        let known = map.keyframes[0].id;
+        map.aliases.push(KeyframeAliases { keyframe: known, places: Vec::new() });
+        // A descriptor of another length.
+        map.landmarks[3].observations[0].descriptor.pop();
+        let before = map.clone();
+        find_aliases(&mut map, &mut |_, _, _| ()).unwrap_err();
+        find_aliases_of_independent(&mut map, &mut |_, _, _| ()).unwrap_err();
+        assert_eq!(map, before);
+    }
 
     #[test]
     fn only_new_keyframes_are_compared_and_former_ones_get_them_as_aliases() {

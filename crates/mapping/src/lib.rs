@@ -96,7 +96,7 @@ pub use map_frame::map_in_frame;
 pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;
 pub use options::{BuildOptions, MapPoses, StoredPoses};
-pub use parts::{LocatedErrors, located_errors, part_shown, put_back};
+pub use parts::{Former, LocatedErrors, located_errors, part_shown, put_back};
 pub use pipeline::build_map;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};

@@ -6,11 +6,12 @@ use adjustment::POSE;
 use map::contents::MapContents;
 use map::edit;
 use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, LandmarkExistence, Observation};
+use map::{AddedFeatures, Alias, KeptImage, KeyframeAliases};
 use nalgebra::{DMatrix, Vector3};
 use protocol::KeyframeId;
 use testing::{Place, PlaceOptions, add_common_errors, add_existence};
 
-use super::{LocatedErrors, located_errors, put_back};
+use super::{Former, LocatedErrors, located_errors, put_back};
 use crate::stored_poses::MapCovariance;
 
 /// Ids of the new keyframes.
@@ -123,6 +124,55 @@ fn a_part_that_is_put_back_as_it_was_changes_nothing() {
     let mut after = before.clone();
     put_back(&mut after, &part, part.clone(), &BTreeSet::new(), LocatedErrors::default());
     assert_eq!(after, before);
+}
+
+/// Whatever became of a part, the map can be as it was.
+#[test]
+fn a_map_is_restored_to_the_bit() {
+    for has_common in [false, true] {
+        let mut before = map(has_common);
+        before.ensure_sessions("first");
+        let keyframes: Vec<KeyframeId> = before.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        before.aliases = keyframes
+            .iter()
+            .map(|id| KeyframeAliases {
+                keyframe: *id,
+                places: keyframes.iter().filter(|other| *other != id).map(alias).collect(),
+            })
+            .collect();
+        before.images =
+            keyframes.iter().map(|id| KeptImage { keyframe: *id, jpeg: vec![*id as u8] }).collect();
+        // Landmarks of an added kind, whose ids come right after those of the map: they are renumbered.
+        let last = before.landmarks.last().unwrap().id;
+        let mut kind = before.info.feature_kind();
+        kind.extractor = "another".to_owned();
+        let added = before.landmarks.iter().take(300).zip(1..);
+        let landmarks = added.map(|(of, at)| Landmark { id: last + at, ..of.clone() }).collect();
+        before.added_features = vec![AddedFeatures { kind, landmarks }];
+        before.sort();
+
+        let mut extended = extended(&before);
+        let errors = located_errors(&before, &part(), &extended).unwrap();
+        let removed: BTreeSet<KeyframeId> = part().into_iter().take(3).collect();
+        edit::remove_keyframes(&mut extended, &removed);
+        let last_of_part = extended.landmarks.last().unwrap().clone();
+        extended.landmarks.push(Landmark { id: last_of_part.id + 7, ..last_of_part });
+        extended.sort();
+        let gone: BTreeSet<u64> = extended.landmarks.iter().map(|of| of.id).step_by(5).collect();
+        let part = edit::part_of(&before, &part());
+        let former = Former::of(&before, &part, &extended);
+        let mut after = before.clone();
+        put_back(&mut after, &part, extended, &gone, errors);
+        assert!(after.landmarks.len() != before.landmarks.len() && after.aliases != before.aliases);
+        assert!(after.cross_covariances != before.cross_covariances && after.images != before.images);
+        assert_ne!(after.added_features, before.added_features);
+        former.restore(&mut after);
+        assert!(after == before);
+    }
+}
+
+fn alias(keyframe: &KeyframeId) -> Alias {
+    Alias { keyframe: *keyframe, log_odds: 1.5 }
 }
 
 #[test]
