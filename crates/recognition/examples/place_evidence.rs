@@ -29,7 +29,7 @@ const VIEW_M: f64 = 2.0;
 const VIEW_COSINE: f64 = 0.866;
 const MAX_FEATURES: usize = 1000;
 
-const HEADER: &str = "recording,stamp_ns,view,outcome,matches_in_view,inliers_in_view,place,error_m,error_deg,features,\
+const HEADER: &str = "recording,stamp_ns,view,outcome,matches_in_view,inliers_in_view,place,error_m,error_deg,nees,features,\
     within_expected,within_confirmed,beyond_expected,beyond_confirmed,parts,picture,log_prior_odds,log_odds";
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -146,7 +146,7 @@ fn print_rows(image: &str, report: &SearchReport, view: &[u64], is_claimed: bool
     });
     let image = format!("{image}{},{},{matches},{inliers}", view.len(), u8::from(is_claimed));
     if report.hypotheses.is_empty() {
-        println!("{image},,,,,,,,,,,,");
+        println!("{image},,,,,,,,,,,,,");
     }
     for (number, found) in report.hypotheses.iter().enumerate() {
         let pose = &found.place.global_from_camera.pose;
@@ -154,8 +154,9 @@ fn print_rows(image: &str, report: &SearchReport, view: &[u64], is_claimed: bool
         let coverage = &found.coverage;
         let (within, beyond) = (coverage.within_picture, coverage.beyond_picture);
         println!(
-            "{image},{number},{:.4},{error_deg:.3},{},{},{},{},{},{},{:.3},{:.4},{:.4}",
+            "{image},{number},{:.4},{error_deg:.3},{:.2},{},{},{},{},{},{},{:.3},{:.4},{:.4}",
             error_m(found, true_pose),
+            found.place.global_from_camera.nees(true_pose).map_or(f64::NAN, |nees| nees / 6.0),
             found.place.features,
             within.expected,
             within.confirmed,

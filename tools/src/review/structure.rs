@@ -45,7 +45,8 @@ pub struct Structure {
     pub moved_m: Vec<[f64; 3]>,
     /// Places of the live map: cubes of 10 m with keyframes, by four directions of view.
     pub places: usize,
-    /// Centres of those within 5 m of which the candidate has no keyframe that looks the same way (m).
+    /// Centres of those within 5 m, or half of the map's viewing distance, of which the candidate has no keyframe that looks the same way
+    /// (m).
     pub emptied_m: Vec<[f64; 3]>,
     /// What moved, for the page: from where to where.
     #[serde(skip)]
@@ -144,6 +145,8 @@ impl Structure {
             places.entry((cube_of(&view.position), direction)).or_default().push(view);
         }
         self.places = places.len();
+        // Where what is seen is far away, keyframes that are far apart show the same.
+        let reach = (0.5 * PLACE_SIZE_M).max(0.5 * live.viewing_distance());
         let views: Vec<View> = candidate.keyframes().map(View::of).collect();
         for ((cube, _), former) in places {
             let mean = |of: &dyn Fn(&View) -> Vector3<f64>| {
