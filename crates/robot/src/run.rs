@@ -269,10 +269,11 @@ impl<'a> Robot<'a> {
     fn read_imu(&mut self, frame_ns: i64) -> Result<(), SensorError> {
         let until_ns = frame_ns.max(self.last_row_ns(frame_ns));
         while self.events.imu.ends_before(until_ns) {
-            let Some((reading, checked)) = self.events.next_reading(frame_ns)? else { break };
+            let Some((reading, checked)) = self.events.next_reading(until_ns)? else { break };
             self.outputs.each(|output| output.reading(&reading));
             self.faults.note(&reading, checked);
         }
+        self.report.skipped_frames += self.events.take_dropped_frames();
         Ok(())
     }
 
@@ -335,7 +336,10 @@ impl<'a> Robot<'a> {
         self.outputs.each(|output| output.frame(frame));
         let mut timings = Timings::default();
         let begin = Instant::now();
-        let Some(tracks) = self.tracks_of(frame) else { return Ok(()) };
+        let Some(tracks) = self.tracks_of(frame) else {
+            self.give_status_without_image(Some(frame.stamp_ns));
+            return Ok(());
+        };
         timings.front_end = begin.elapsed();
         self.outputs.each(|output| output.tracks(frame.stamp_ns, &tracks));
 
@@ -361,6 +365,10 @@ impl<'a> Robot<'a> {
                     tracing::warn!(%error, unlogged, "frame skipped");
                 }
                 self.report.skipped_frames += 1;
+                let known_ns = frame.stamp_ns.max(estimator.stamp_ns());
+                self.give_status_without_image(Some(
+                    self.events.newest_frame_ns().unwrap_or(known_ns).max(known_ns),
+                ));
                 return Ok(());
             }
             Err(error) => return Err(error),

@@ -1,6 +1,7 @@
 //! What a run gives out, and in which order.
 
 use estimator::Localization;
+use robot::stop::StopSignal;
 use robot::{Estimate, Output, Robot, RobotError, RobotSettings, RunError, RunReport, StatusReport};
 use sensors::live::{LiveFrames, LiveInputs, LiveSettings, LiveSource};
 use sensors::{Frame, ImuSample, Recording, SensorEvent, SensorSource as _, Sequence};
@@ -236,8 +237,17 @@ impl Output for States {
     }
 }
 
-/// Plays a recording in real time, without images of some seconds since its begin.
-fn play(sequence: &Sequence, inputs: &LiveInputs, without: Range<f64>) {
+/// What is wrong with a recording in some of its seconds.
+#[derive(Clone, Copy, PartialEq)]
+enum Wrong {
+    /// No images come.
+    Images,
+    /// The accelerometer gives mm/s^2.
+    Readings,
+}
+
+/// Plays a recording in real time, which has a fault for some seconds since its begin.
+fn play(sequence: &Sequence, inputs: &LiveInputs, wrong: Wrong, when: Range<f64>) {
     let recording = Recording::from(sequence);
     let mut source = recording.source().unwrap();
     let (begin, mut first_ns) = (Instant::now(), None);
@@ -246,9 +256,15 @@ fn play(sequence: &Sequence, inputs: &LiveInputs, without: Range<f64>) {
         let seconds = (stamp_ns - *first_ns.get_or_insert(stamp_ns)) as f64 * 1e-9;
         let due = begin + Duration::from_secs_f64(seconds.max(0.0));
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        let is_wrong = |what: Wrong| what == wrong && when.contains(&seconds);
         match event {
-            SensorEvent::Imu(reading) => inputs.imu(reading),
-            SensorEvent::Frame(frame) if !without.contains(&seconds) => {
+            SensorEvent::Imu(mut reading) => {
+                if is_wrong(Wrong::Readings) {
+                    reading.accelerometer *= 1000.0;
+                }
+                inputs.imu(reading);
+            }
+            SensorEvent::Frame(frame) if !is_wrong(Wrong::Images) => {
                 inputs.tracks(frame.stamp_ns, frame.tracks, None);
             }
             _ => {}
@@ -257,16 +273,21 @@ fn play(sequence: &Sequence, inputs: &LiveInputs, without: Range<f64>) {
     inputs.close();
 }
 
+/// A live source of the tracks of a recording.
+fn live_source(sequence: &Sequence) -> (LiveInputs, LiveSource) {
+    let calibration = Recording::from(sequence).calibration().clone();
+    let mut live = LiveSettings::images(&calibration);
+    live.frames = LiveFrames::Tracks { features: false };
+    LiveSource::new("live", calibration, &live)
+}
+
 #[test]
 fn a_live_robot_without_images_is_lost_until_the_next_one() {
     let sequence = sequence();
-    let calibration = Recording::from(&sequence).calibration().clone();
-    let mut live = LiveSettings::images(&calibration);
-    live.frames = LiveFrames::Tracks { features: false };
-    let (inputs, mut source) = LiveSource::new("live", calibration, &live);
+    let (inputs, mut source) = live_source(&sequence);
     let mut states = States::default();
     std::thread::scope(|scope| {
-        scope.spawn(|| play(&sequence, &inputs, 2.5..4.2));
+        scope.spawn(|| play(&sequence, &inputs, Wrong::Images, 2.5..4.2));
         let mut robot = Robot::new(&mut source, settings(&sequence)).unwrap();
         robot.add_output(&mut states);
         let _ = robot.run(|_| {});
@@ -279,4 +300,42 @@ fn a_live_robot_without_images_is_lost_until_the_next_one() {
         states.0
     );
     assert!(reason.starts_with("no image was used for 1."), "{reason}");
+}
+
+/// Stops its run as soon as the state is lost.
+struct StopWhereLost {
+    stop: StopSignal,
+    lost: Option<(Instant, String)>,
+}
+
+impl Output for StopWhereLost {
+    fn status(&mut self, report: &StatusReport) {
+        if report.status.localization == Localization::Lost && self.lost.is_none() {
+            self.lost = Some((Instant::now(), report.status.reason.clone()));
+            self.stop.stop();
+        }
+    }
+}
+
+/// Readings in another unit are refused, and no more come for any image.
+#[test]
+fn a_live_robot_whose_readings_are_all_refused_is_lost_says_why_and_can_be_stopped() {
+    let sequence = sequence();
+    let settings = settings(&sequence);
+    let (inputs, mut source) = live_source(&sequence);
+    let mut output = StopWhereLost { stop: settings.stop.clone(), lost: None };
+    let begin = Instant::now();
+    let report = std::thread::scope(|scope| {
+        scope.spawn(|| play(&sequence, &inputs, Wrong::Readings, 2.0..5.0));
+        let mut robot = Robot::new(&mut source, settings).unwrap();
+        robot.add_output(&mut output);
+        robot.run(|_| {})
+    });
+    let (lost, reason) = output.lost.unwrap();
+    let after_s = (lost - begin).as_secs_f64();
+    assert!((3.0..4.5).contains(&after_s), "lost after {after_s:.1} s");
+    assert!(reason.contains("bad readings of the IMU"), "{reason}");
+    assert!(report.wall_seconds < after_s + 1.0, "stopped after {:.1} s", report.wall_seconds);
+    assert!(report.alarms.iter().any(|alarm| alarm.reason.contains("IMU")), "{:?}", report.alarms);
+    assert!(report.skipped_frames > 10, "{report:?}");
 }

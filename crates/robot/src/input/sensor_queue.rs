@@ -11,6 +11,10 @@ use std::collections::VecDeque;
 /// longer is taken to have stopped; without a bound, all frames up to its next reading would be held in memory.
 const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
 
+/// The same of a live source, which gives a frame as soon as the reading after it has come: only one that is refused is waited for.
+/// Readings of a new level are taken again after 0.1 s. Frames that are older than this are of no use to a robot that drives.
+const MAX_LIVE_IMU_WAIT_NS: i64 = 500_000_000;
+
 /// Readings of the wheels that are read ahead at most; where no frame comes for longer, the oldest ones are dropped.
 const MAX_WHEEL_READINGS: usize = 1 << 16;
 
@@ -42,6 +46,10 @@ pub(crate) struct SensorQueue<'a> {
     frames: VecDeque<Frame>,
     wheels: VecDeque<WheelReading>,
     gnss: VecDeque<GnssReading>,
+    /// Measurements arrive now.
+    is_live: bool,
+    /// Frames without readings that were dropped for newer ones.
+    dropped_frames: usize,
     /// The source has ended or failed.
     ended: bool,
     error: Option<SensorError>,
@@ -53,7 +61,8 @@ impl<'a> SensorQueue<'a> {
         let rate_hz = source.calibration().imu.as_ref().map_or(1.0, |imu| imu.rate_hz);
         let imu = ImuWindow::new(rate_hz);
         let (frames, wheels, gnss) = (VecDeque::new(), VecDeque::new(), VecDeque::new());
-        Self { source, imu, frames, wheels, gnss, ended: false, error: None }
+        let is_live = source.live().is_some();
+        Self { source, imu, frames, wheels, gnss, is_live, dropped_frames: 0, ended: false, error: None }
     }
 
     /// What the source says of itself, if it is live.
@@ -91,20 +100,44 @@ impl<'a> SensorQueue<'a> {
     }
 
     /// Takes the next reading into the window, or leaves it out, for which it states why; `None` after the last, where a live source
-    /// has none at the moment, or where it comes more than [`MAX_IMU_WAIT_NS`] after `frame_ns`.
+    /// has none at the moment, or where none came up to a frame that is much newer: [`MAX_IMU_WAIT_NS`], [`MAX_LIVE_IMU_WAIT_NS`]. Of a live
+    /// source, the frames before that one are dropped then, for which there are no readings either.
+    ///
+    /// # Arguments
+    /// * `until_ns`: up to when readings are needed, nanoseconds.
     ///
     /// # Errors
     /// That of the source, after the readings before it.
-    pub(crate) fn next_reading(&mut self, frame_ns: i64) -> Result<Option<Checked>, SensorError> {
-        let horizon_ns = frame_ns.saturating_add(MAX_IMU_WAIT_NS);
-        while self.imu.ahead().is_empty()
-            && self.frames.back().is_none_or(|newest| newest.stamp_ns <= horizon_ns)
-            && self.read() == Read::Event
-        {}
+    pub(crate) fn next_reading(&mut self, until_ns: i64) -> Result<Option<Checked>, SensorError> {
+        let wait_ns = if self.is_live { MAX_LIVE_IMU_WAIT_NS } else { MAX_IMU_WAIT_NS };
+        let horizon_ns = until_ns.saturating_add(wait_ns);
+        while self.imu.ahead().is_empty() {
+            if self.frames.back().is_some_and(|newest| newest.stamp_ns > horizon_ns) {
+                if self.is_live {
+                    let late = self.frames.len() - 1;
+                    self.frames.drain(..late);
+                    self.dropped_frames += late;
+                }
+                break;
+            }
+            if self.read() != Read::Event {
+                break;
+            }
+        }
         match self.imu.accept() {
             Some(accepted) => Ok(Some(accepted)),
             None => self.error.take().map_or(Ok(None), Err),
         }
+    }
+
+    /// Time of the newest frame that was read and not handed out, nanoseconds.
+    pub(crate) fn newest_frame_ns(&self) -> Option<i64> {
+        self.frames.back().map(|frame| frame.stamp_ns)
+    }
+
+    /// How many frames were dropped since the last call, as there were no readings for them.
+    pub(crate) fn take_dropped_frames(&mut self) -> usize {
+        std::mem::take(&mut self.dropped_frames)
     }
 
     /// The readings of the wheels that were read since the last call, in order of time.
