@@ -32,10 +32,18 @@ fn localized(config: EstimatorConfig, motion: impl Fn(u64) -> Vector6<f64>) -> E
 }
 
 fn revision(changed: &[u64], motion: impl Fn(u64) -> Option<Vector6<f64>>) -> MapRevision {
+    revision_of(1, changed, motion)
+}
+
+fn revision_of(
+    from_version: u64,
+    changed: &[u64],
+    motion: impl Fn(u64) -> Option<Vector6<f64>>,
+) -> MapRevision {
     let moved = |&id: &u64| motion(id).map(|motion| KeyframeMotion { id, motion });
     MapRevision {
-        from_version: 1,
-        version: 2,
+        from_version,
+        version: from_version + 1,
         changed_keyframes: changed.to_vec(),
         size: Some(SIZE),
         keyframe_motions: changed.iter().filter_map(moved).collect(),
@@ -75,6 +83,61 @@ fn the_state_moves_as_if_it_had_used_the_new_version_from_the_beginning() {
             // Measurements with residuals of a pixel are linearized at other poses then.
             assert!(difference < 0.1 * correction.amax(), "{weights:?}: {difference} of {correction}");
         }
+    }
+}
+
+/// A filter that was localized by two keyframes of each of some versions of the map, which restated them as they were, and by two of
+/// the newest version.
+///
+/// # Arguments
+/// * `motion`: by how much the newest version has these elsewhere.
+///
+/// # Returns
+/// The filter, and the keyframes of the newest version.
+fn localized_in_versions(revisions: u64, motion: Vector6<f64>) -> (Estimator, [u64; 2]) {
+    let world = World::new();
+    let mut config = EstimatorConfig::default();
+    config.adaptive_noise = AdaptiveNoise::NONE;
+    let mut estimator = world.estimator(config);
+    let mut keyframes = [0; 2];
+    for version in 1..=revisions + 1 {
+        let frame = version as i64 + 1;
+        if version == 1 {
+            world.frame(&mut estimator, 1);
+        }
+        let clone = world.frame(&mut estimator, frame);
+        keyframes = [10 * version, 10 * version + 1];
+        let mut answer = world.answer(frame, frame, keyframes[0]);
+        answer.map_version = version;
+        if version > revisions {
+            for keyframe in &mut answer.keyframes {
+                let pose = &mut keyframe.global_from_keyframe.pose;
+                *pose = pose.retract(&motion);
+            }
+        }
+        assert!(accepted(&estimator.map_update(clone, &answer).unwrap()));
+        if version <= revisions {
+            let again = revision_of(version, &keyframes, |_| Some(Vector6::zeros()));
+            assert_eq!(estimator.map_changed(&again), RevisionEffect::CarriedOver);
+        }
+    }
+    (estimator, keyframes)
+}
+
+#[test]
+fn after_many_revisions_the_state_moves_as_far_as_after_the_first() {
+    let motion = Vector6::new(1e-5, -2e-5, 3e-5, 2e-4, 1e-4, -2e-4);
+    for revisions in [0, 1, 3, 7] {
+        let (mut moved, keyframes) = localized_in_versions(revisions, Vector6::zeros());
+        let before = pose_in_map(&moved);
+        let last = revision_of(revisions + 1, &keyframes, |_| Some(motion));
+        assert_eq!(moved.map_changed(&last), RevisionEffect::CarriedOver);
+        let (anew, _) = localized_in_versions(revisions, motion);
+        let [correction, expected] = [&moved, &anew].map(|robot| before.local(&pose_in_map(robot)));
+        let difference = (correction - expected).amax();
+        println!("{revisions} revisions: {correction} for {expected}");
+        assert!(expected.amax() > 2e-5, "{expected}");
+        assert!(difference < 0.1 * expected.amax(), "{revisions} revisions: {correction} for {expected}");
     }
 }
 

@@ -121,7 +121,7 @@ impl Estimator {
             }
         }
         let weighted = |terms: &[(KeyframeId, Matrix6<f64>)]| -> Dense {
-            held.weighted_sensitivity(terms.iter().map(|(id, block)| (*id, block)))
+            held.error_by_keyframes(terms.iter().map(|(id, block)| (*id, block)))
         };
         let mut correction = DVector::zeros(self.state.dim());
         correction.copy_from_slice(weighted(&moved).column(0));

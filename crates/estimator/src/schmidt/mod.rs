@@ -147,12 +147,23 @@ impl HeldKeyframes {
         cross
     }
 
-    /// `sum of M_k B_k` over held keyframes, state x 6: by how much the state errs where each keyframe `k` errs by `B_k` times the
-    /// same six numbers.
+    /// By how much the state errs where each held keyframe `k` errs by `B_k` times the same six numbers, state x 6: `sum of M_k B_k`
+    /// divided by the inflation of the map, to whose stated covariance `M` refers.
     ///
     /// # Arguments
     /// * `terms`: keyframes with their `B_k`; those that are not held are ignored.
-    pub fn weighted_sensitivity<'a>(
+    pub fn error_by_keyframes<'a>(
+        &self,
+        terms: impl Iterator<Item = (KeyframeId, &'a Matrix6<f64>)> + Clone,
+    ) -> Dense {
+        let mut sum = self.weighted_sensitivity(terms);
+        let inflation = self.inflation.of_map();
+        sum.view_mut().iter_mut().for_each(|number| *number /= inflation);
+        sum
+    }
+
+    /// `sum of M_k B_k` over held keyframes, state x 6.
+    fn weighted_sensitivity<'a>(
         &self,
         terms: impl Iterator<Item = (KeyframeId, &'a Matrix6<f64>)> + Clone,
     ) -> Dense {
