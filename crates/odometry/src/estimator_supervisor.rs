@@ -330,10 +330,10 @@ impl EstimatorSupervisor {
 mod tests {
     use super::*;
     use estimator::propagation::{ImuMatrix, ImuState};
-    use estimator::{GnssConfig, InitialState};
+    use estimator::{BaseKind, GnssConfig, InitialState, WheelBase, WheelConfig};
     use geometry::Pose;
     use geometry::camera::{Camera, Distortion};
-    use nalgebra::{Matrix3, Vector3};
+    use nalgebra::{Matrix3, Vector2, Vector3};
 
     fn position(stamp_ns: i64, x: f64) -> GnssReading {
         GnssReading { stamp_ns, position: Vector3::x() * x, covariance: Matrix3::identity() * 1e-4 }
@@ -369,5 +369,46 @@ mod tests {
         let mut without = EstimatorSupervisor::initializing(EstimatorConfig::default(), rig);
         without.gnss(position(1, 0.0));
         assert_eq!(without.gnss_counts(), None);
+    }
+
+    /// The calibration may be what made a filter diverge.
+    #[test]
+    fn after_a_divergence_the_wheels_are_less_certain_than_they_were_learned() {
+        let config = |sigma_radius_fraction: f64| {
+            let mut wheels = WheelConfig::new(WheelBase::new(BaseKind::Differential, 0.1, 0.5));
+            wheels.initial.sigma_radius_fraction = sigma_radius_fraction;
+            let mut config = EstimatorConfig::default();
+            config.wheels = Some(wheels);
+            config
+        };
+        let (focal, centre) = ([400.0; 2], [320.0, 240.0]);
+        let camera = Camera { width: 640, height: 480, focal, centre, distortion: Distortion::None };
+        let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
+        let imu = ImuState {
+            local_from_imu: Pose::identity(),
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
+        };
+        let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-4 };
+        let learned = Estimator::new(config(1e-4), rig.clone(), &initial).unwrap();
+        let mut supervisor = EstimatorSupervisor::initializing(config(0.02), rig);
+        supervisor.learned_wheels = learned.learned_wheels();
+        let mut stamp_ns = 0;
+        while supervisor.estimator().is_none() && stamp_ns < 10_000_000_000 {
+            for _ in 0..10 {
+                let (gyroscope, accelerometer) = (Vector3::zeros(), Vector3::z() * 9.81);
+                supervisor.imu(ImuSample { stamp_ns, gyroscope, accelerometer }).unwrap();
+                stamp_ns += 5_000_000;
+            }
+            let at = |feature_id: u64| Vector2::new(30.0 * feature_id as f64, 240.0);
+            let track = |feature_id| TrackObservation { camera: 0, feature_id, pixel: at(feature_id) };
+            let tracks: Vec<TrackObservation> = (0..20).map(track).collect();
+            supervisor.try_initialize(stamp_ns - 5_000_000, &tracks).unwrap();
+        }
+        let sigma_m = |report: WheelReport| report.geometry["radius_left_m"].sigma;
+        let [before, after] =
+            [learned.wheel_report(), supervisor.wheel_report()].map(|report| sigma_m(report.unwrap()));
+        assert!((after / before - 10.0).abs() < 1e-6, "{before} m, and {after} m again");
     }
 }

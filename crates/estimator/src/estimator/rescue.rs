@@ -238,9 +238,8 @@ impl Estimator {
         // The settings state readout times for the start.
         fresh.state.calibration.cameras.clone_from(&self.state.calibration.cameras);
         fresh.state.calibration.time_offset = self.state.calibration.time_offset;
-        if let (Some(learned), Some(stated)) = (self.learned_wheels(), fresh.learned_wheels()) {
-            // As the biases, it may be what is wrong.
-            fresh.resume_wheels(&learned.widened(BIAS_SIGMAS, &stated));
+        if let Some(learned) = self.learned_wheels() {
+            fresh.resume_wheels(&learned);
         }
         fresh.resume_counts(self.gnss_counts(), self.wheels.as_ref().map(|wheels| wheels.counts));
         fresh.imu = std::mem::take(&mut self.imu);

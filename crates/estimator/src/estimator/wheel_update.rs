@@ -13,6 +13,9 @@ use crate::wheels::report::{LearnedWheels, WheelCounts, WheelReport};
 use crate::wheels::{DueInterval, TimedClone, WheelOdometry};
 use types::WheelReading;
 
+/// Standard deviations of a calibration that a filter which failed had learned, in units of those that it stated.
+const RESUMED_SIGMAS: f64 = 10.0;
+
 impl Estimator {
     /// Stores a reading of the wheels for the next [`Self::time_update`]. Readings come in the order of time, and an interval
     /// between two images is used at the first image behind its last reading. Without
@@ -39,13 +42,16 @@ impl Estimator {
         Some(LearnedWheels { calibration: self.state.wheels?, covariance })
     }
 
-    /// Continues from a calibration that another filter of the same robot has learned; before the first image.
+    /// Continues from the calibration that a filter of the same robot had learned before it failed; before the first image.
+    ///
+    /// It may be what was wrong: its standard deviations become ten times as large, each up to the stated one.
     pub fn resume_wheels(&mut self, learned: &LearnedWheels) {
-        let LearnedWheels { calibration, covariance } = learned;
+        let Some(stated) = self.learned_wheels() else { return };
+        let LearnedWheels { calibration, covariance } = learned.clone().widened(RESUMED_SIGMAS, &stated);
         let range = self.state.range(Block::Wheels).filter(|range| range.len() == covariance.nrows());
         let Some(range) = range else { return };
-        self.state.wheels = Some(*calibration);
-        self.covariance.replace(range.start, covariance);
+        self.state.wheels = Some(calibration);
+        self.covariance.replace(range.start, &covariance);
     }
 
     /// Counts on from what other filters of the same run counted.
