@@ -35,7 +35,7 @@ use watch::WheelWatch;
 const MAX_DELAY_NS: i64 = 500_000_000;
 /// Longest interval that is preintegrated, nanoseconds: the base does not stay in one plane for long.
 const MAX_INTERVAL_NS: i64 = 2_000_000_000;
-/// Readings are kept for so long before the oldest image that waits, nanoseconds: the estimated time offset changes.
+/// Readings are kept for so long before the oldest image that waits or was kept, nanoseconds: the estimated time offset changes.
 const KEPT_NS: i64 = 100_000_000;
 
 /// Intervals that are kept until wheels are used: more than a window has.
@@ -48,13 +48,18 @@ pub(crate) struct TimedClone {
     pub(crate) stamp_ns: i64,
 }
 
+/// Two consecutive clones, with those before and after them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ConsecutiveClones {
+    pub(crate) both: [TimedClone; 2],
+    pub(crate) before: Option<TimedClone>,
+    pub(crate) after: Option<TimedClone>,
+}
+
 /// Two consecutive clones, and the readings between them.
 #[derive(Clone, Debug)]
 pub(crate) struct DueInterval {
-    pub(crate) clones: [TimedClone; 2],
-    /// The clone before them, and the one after them.
-    pub(crate) before: Option<TimedClone>,
-    pub(crate) after: Option<TimedClone>,
+    pub(crate) clones: ConsecutiveClones,
     pub(crate) readings: WheelInterval,
 }
 
@@ -72,8 +77,8 @@ pub(crate) struct WheelOdometry {
     clones: VecDeque<TimedClone>,
     /// The clone before the first of them.
     before: Option<TimedClone>,
-    /// The newest intervals that were tested while wheels are not used.
-    pub(crate) untried: VecDeque<DueInterval>,
+    /// The clones of the newest intervals that were tested while wheels are not used.
+    untried: VecDeque<ConsecutiveClones>,
 }
 
 impl WheelOdometry {
@@ -92,9 +97,41 @@ impl WheelOdometry {
         }
     }
 
-    /// Keeps an interval that was tested before wheels are used, for when they are.
-    pub(crate) fn keep(&mut self, due: DueInterval) {
-        push_newest(&mut self.untried, due, MAX_UNTRIED);
+    /// Keeps an interval that was tested and not used, for when wheels are.
+    pub(crate) fn keep(&mut self, clones: ConsecutiveClones) {
+        push_newest(&mut self.untried, clones, MAX_UNTRIED);
+    }
+
+    /// Takes the intervals that were kept, in the order of time.
+    pub(crate) fn take_untried(&mut self) -> VecDeque<ConsecutiveClones> {
+        std::mem::take(&mut self.untried)
+    }
+
+    /// Forgets the intervals that were kept and begin at a clone that is gone.
+    pub(crate) fn retain_untried(&mut self, is_there: impl Fn(CloneId) -> bool) {
+        self.untried.retain(|clones| is_there(clones.both[0].id));
+    }
+
+    /// Notes that an interval cannot be used: there are no readings of it, or they came when its clones were gone.
+    ///
+    /// # Arguments
+    /// * `from_ns`: its begin, nanoseconds.
+    /// * `now_ns`: time of the newest clone, nanoseconds.
+    pub(crate) fn note_missing(&mut self, from_ns: i64, now_ns: i64) {
+        self.counts.missing += 1;
+        self.watch.note_missing(from_ns, now_ns);
+    }
+
+    /// The readings between two clones.
+    ///
+    /// # Arguments
+    /// * `time_offset_s`: added to the stamp of a reading to obtain the IMU's time, seconds.
+    pub(crate) fn readings_between(&self, clones: &ConsecutiveClones, time_offset_s: f64) -> Interval {
+        let [from_ns, to_ns] = clones.both.map(|clone| clone.stamp_ns - nanoseconds(time_offset_s));
+        match self.buffer.interval(from_ns, to_ns) {
+            Interval::Covered(_) if to_ns - from_ns > MAX_INTERVAL_NS => Interval::Missing,
+            found => found,
+        }
     }
 
     /// Takes in a new clone.
@@ -110,26 +147,61 @@ impl WheelOdometry {
     /// # Arguments
     /// * `time_offset_s`: added to the stamp of a reading to obtain the IMU's time, seconds.
     pub(crate) fn next_due(&mut self, time_offset_s: f64) -> Option<DueInterval> {
-        let offset_ns = (time_offset_s * 1e9).round() as i64;
         while let (Some(&first), Some(&second), Some(&newest)) =
             (self.clones.front(), self.clones.get(1), self.clones.back())
         {
-            let span_ns = [first.stamp_ns, second.stamp_ns];
+            let after = self.clones.get(2).copied();
+            let clones = ConsecutiveClones { both: [first, second], before: self.before, after };
             let is_late = newest.stamp_ns - first.stamp_ns > MAX_DELAY_NS;
-            let found = match self.buffer.interval(span_ns[0] - offset_ns, span_ns[1] - offset_ns) {
-                Interval::NotYet if !is_late => return None,
-                Interval::Covered(readings) if span_ns[1] - span_ns[0] <= MAX_INTERVAL_NS => Some(readings),
-                _ => None,
-            };
-            let before = std::mem::replace(&mut self.before, self.clones.pop_front());
-            self.buffer.remove_before(second.stamp_ns - offset_ns - KEPT_NS);
-            if let Some(readings) = found {
-                let after = self.clones.get(1).copied();
-                return Some(DueInterval { clones: [first, second], before, after, readings });
+            let found = self.readings_between(&clones, time_offset_s);
+            if found == Interval::NotYet && !is_late {
+                return None;
             }
-            self.counts.missing += 1;
-            self.watch.note_missing(span_ns[0], newest.stamp_ns);
+            self.before = self.clones.pop_front();
+            let oldest_ns = self.untried.front().map_or(first.stamp_ns, |kept| kept.both[0].stamp_ns);
+            self.buffer.remove_before(oldest_ns - nanoseconds(time_offset_s) - KEPT_NS);
+            if let Interval::Covered(readings) = found {
+                return Some(DueInterval { clones, readings });
+            }
+            self.note_missing(first.stamp_ns, newest.stamp_ns);
         }
         None
+    }
+}
+
+/// Seconds as nanoseconds.
+fn nanoseconds(seconds: f64) -> i64 {
+    (seconds * 1e9).round() as i64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use types::{BaseKind, WheelBase, WheelReading};
+
+    #[test]
+    fn an_interval_that_was_kept_is_cut_anew_with_another_time_offset() {
+        let base = WheelBase::new(BaseKind::Differential, 0.10, 0.50);
+        let mut wheels = WheelOdometry::new(WheelConfig::new(base));
+        for k in 0..100 {
+            wheels.buffer.push(WheelReading::new(k * 20_000_000, [1.0, 1.0])).unwrap();
+        }
+        for k in 2..18 {
+            wheels.add_clone(CloneId(k), k as i64 * 100_000_000);
+            if let Some(due) = wheels.next_due(0.0) {
+                wheels.keep(due.clones);
+            }
+        }
+        let kept = wheels.take_untried();
+        assert_eq!(kept.len(), 15);
+        for clones in kept {
+            for offset_s in [0.0, 0.05, -0.05] {
+                let Interval::Covered(cut) = wheels.readings_between(&clones, offset_s) else {
+                    panic!("readings are gone")
+                };
+                let begin_ns = clones.both[0].stamp_ns - nanoseconds(offset_s);
+                assert_eq!(cut.readings[0].stamp_ns, begin_ns);
+            }
+        }
     }
 }
