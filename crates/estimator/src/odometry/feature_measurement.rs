@@ -50,6 +50,8 @@ struct GateMemory {
     innovation: Dense,
     right_sides: Dense,
     factorization: Factorization,
+    /// Most pixels of a track so far.
+    most_pixels: usize,
 }
 
 /// The landmark block of the normal equations.
@@ -61,6 +63,21 @@ struct LandmarkBlock {
 }
 
 impl FeatureMeasurement {
+    /// Takes the memory for the NIS of a track of so many pixels: few are computed exactly, and the longest of them may come late.
+    pub fn reserve(&mut self, pixels: usize) {
+        let GateMemory { innovation, right_sides, blocks, factorization, most_pixels } = &mut self.gate;
+        if pixels > *most_pixels {
+            let pixels = pixels.next_power_of_two();
+            *most_pixels = pixels;
+            *innovation = Dense::identity(2 * pixels);
+            right_sides.reset(2 * pixels, 4);
+            blocks.clear();
+            blocks.reserve(pixels);
+            // The identity has a Cholesky factor.
+            let _ = factorization.cholesky(innovation);
+        }
+    }
+
     /// Number of rows after the elimination of the landmark.
     pub fn free_rows(&self) -> usize {
         // A prior of the distance is one more row.
@@ -112,7 +129,7 @@ impl FeatureMeasurement {
             return Ok(bound);
         }
         let count = 2 * self.pixels.len();
-        let GateMemory { innovation, right_sides, blocks, factorization } = &mut self.gate;
+        let GateMemory { innovation, right_sides, blocks, factorization, .. } = &mut self.gate;
         innovation.reset(count, count);
         right_sides.reset(count, 4);
         blocks.clear();
