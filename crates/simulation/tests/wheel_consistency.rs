@@ -276,3 +276,26 @@ fn nonsense_from_the_start_is_never_used() {
         }
     }
 }
+
+/// Rollers lose 8 % of the way to the side, which the filter is not told: each interval passes the test, and all of them err alike.
+#[test]
+fn what_rollers_lose_to_the_side_is_found() {
+    let told = stated_of(BaseKind::Mecanum);
+    let mut truth = told;
+    let mut steps = vec![0.0; truth.base.parameters().len()];
+    *steps.last_mut().unwrap() = -0.08;
+    truth.base.add(&steps);
+    truth.initial.sigma_sideways_scale = 1e-4;
+    let variants = [odometry("without", None), odometry("with", Some(told))];
+    let all = runs(RUNS, 45.0, Tracks::Few, &WheelOptions::new(truth), &variants);
+    all.iter().for_each(none_diverged);
+    let [without, with] = [&all[0], &all[1]].map(|all| score(all, &ScoreOptions::default()).local.unwrap());
+    println!("{:.3} m, with wheels {:.3} m, NEES {:.2}", without.rmse_m, with.rmse_m, with.pose.mean);
+    for trial in &all[1].trials {
+        let Estimated { value, sigma } = trial.wheels.as_ref().unwrap().geometry["sideways_scale"];
+        println!("    {value:.4} +- {sigma:.4}");
+        assert!((value - 0.92).abs() < 3.5 * sigma && sigma < 0.02, "{value} +- {sigma}");
+    }
+    assert!(with.pose.mean < 1.6, "{:?}", with.pose);
+    assert!(with.rmse_m < without.rmse_m, "{} m for {} m", with.rmse_m, without.rmse_m);
+}

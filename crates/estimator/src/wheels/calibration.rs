@@ -1,7 +1,8 @@
 //! Calibration of the wheels and the layout of its error.
 //!
 //! ```text
-//! base (3 to 5)      radii, then track, wheelbase or reach, metres; then the offset of the steering, rad
+//! base (3 to 6)      radii, then track, wheelbase or reach, metres; then the offset of the steering, rad, or the scale of the
+//!                    way to the side
 //! time offset (1)    seconds; t_imu = t_wheels + offset
 //! extrinsics (6)     [δθ, δp] of imu_from_base, R = Exp(δθ) R̂, in the IMU's frame
 //! ```
@@ -77,6 +78,7 @@ impl WheelCalibration {
         let lengths = &parameters[..=self.base.kind().wheels()];
         lengths.iter().all(|length| *length > 0.0)
             && parameters.iter().all(|parameter| parameter.is_finite())
+            && self.base.sideways_scale() > 0.0
             && self.time_offset_s.is_finite()
             && self.imu_from_base.is_finite()
     }

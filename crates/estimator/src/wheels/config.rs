@@ -55,6 +55,8 @@ pub struct InitialWheelSigmas {
     pub sigma_track_fraction: f64,
     /// Offset of the steering, rad.
     pub sigma_steering_offset_rad: f64,
+    /// Scale of the way to the side, of a base that moves so.
+    pub sigma_sideways_scale: f64,
     /// Orientation of the base in the IMU frame, rad.
     pub sigma_rotation_rad: f64,
     /// Position of the base in the IMU frame, metres.
@@ -64,12 +66,13 @@ pub struct InitialWheelSigmas {
 }
 
 impl Default for InitialWheelSigmas {
-    /// Of a data sheet and a tape measure: 2 %, 2 %, 1 degree, 1 degree, 2 cm, 5 ms.
+    /// Of a data sheet and a tape measure: 2 %, 2 %, 1 degree, 1 degree, 2 cm, 5 ms. Rollers lose 3 to 10 % of the way to the side.
     fn default() -> Self {
         Self {
             sigma_radius_fraction: 0.02,
             sigma_track_fraction: 0.02,
             sigma_steering_offset_rad: 0.0175,
+            sigma_sideways_scale: 0.05,
             sigma_rotation_rad: 0.0175,
             sigma_position_m: 0.02,
             sigma_time_offset_s: 0.005,
@@ -113,6 +116,10 @@ impl Default for WheelNoise {
     }
 }
 
+/// A setting that may be negative.
+const STEERING_OFFSET: &str = "wheels.base.steering_offset_rad";
+/// Largest scale of the way to the side.
+const MAX_SIDEWAYS_SCALE: f64 = 2.0;
 /// Largest magnitude of the time offset, seconds.
 const MAX_TIME_OFFSET_S: f64 = 0.5;
 /// Largest offset of the steering, rad.
@@ -146,6 +153,7 @@ impl WheelConfig {
         let sigma = |(index, value): (usize, f64)| match index.cmp(&wheels) {
             Ordering::Less => initial.sigma_radius_fraction * value,
             Ordering::Equal => initial.sigma_track_fraction * value,
+            Ordering::Greater if self.base.kind().moves_sideways() => initial.sigma_sideways_scale,
             Ordering::Greater => initial.sigma_steering_offset_rad,
         };
         self.base.parameters().into_iter().enumerate().map(sigma).collect()
@@ -158,6 +166,7 @@ impl WheelConfig {
             ("wheels.initial.sigma_radius_fraction", initial.sigma_radius_fraction),
             ("wheels.initial.sigma_track_fraction", initial.sigma_track_fraction),
             ("wheels.initial.sigma_steering_offset_rad", initial.sigma_steering_offset_rad),
+            ("wheels.initial.sigma_sideways_scale", initial.sigma_sideways_scale),
             ("wheels.initial.sigma_rotation_rad", initial.sigma_rotation_rad),
             ("wheels.initial.sigma_position_m", initial.sigma_position_m),
             ("wheels.initial.sigma_time_offset_s", initial.sigma_time_offset_s),
@@ -167,12 +176,13 @@ impl WheelConfig {
             ("wheels.noise.sigma_off_track_m_sqrt_m", noise.sigma_off_track_m_sqrt_m),
         ];
         let names = self.base.parameter_names().iter().map(|name| setting(name));
-        let lengths = names.zip(self.base.parameters()).take(self.base.kind().wheels() + 1);
-        lengths.chain(others)
+        // An offset of the steering may be negative.
+        let is_length = |(name, _): &(&str, f64)| *name != STEERING_OFFSET;
+        names.zip(self.base.parameters()).filter(is_length).chain(others)
     }
 
     /// The settings whose magnitude is limited, by name, with their limits.
-    pub(crate) fn limited(&self) -> [(&'static str, f64, f64); 5] {
+    pub(crate) fn limited(&self) -> [(&'static str, f64, f64); 6] {
         let largest = |numbers: [f64; 3]| numbers.into_iter().map(f64::abs).fold(0.0, f64::max);
         let sum = |numbers: [f64; 3]| numbers.into_iter().sum::<f64>();
         // Of a number that is not finite, the sum is not, either.
@@ -183,7 +193,8 @@ impl WheelConfig {
         };
         let exact_or_more = |sigma: f64| if sigma >= 0.0 { sigma } else { f64::NAN };
         [
-            ("wheels.base.steering_offset_rad", steering_rad, MAX_STEERING_OFFSET_RAD),
+            (STEERING_OFFSET, steering_rad, MAX_STEERING_OFFSET_RAD),
+            ("wheels.base.sideways_scale", self.base.sideways_scale(), MAX_SIDEWAYS_SCALE),
             ("wheels.noise.sigma_angle_rad", exact_or_more(self.noise.sigma_angle_rad), MAX_ROTATION_RAD),
             ("wheels.time_offset_s", self.time_offset_s, MAX_TIME_OFFSET_S),
             ("wheels.base_position_m", magnitude(self.base_position_m), MAX_POSITION_M),
@@ -201,6 +212,8 @@ fn setting(parameter: &str) -> &'static str {
         "radius_m" => "wheels.base.radius_m",
         "wheelbase_m" => "wheels.base.wheelbase_m",
         "reach_m" => "wheels.base.reach_m",
+        "steering_offset_rad" => STEERING_OFFSET,
+        "sideways_scale" => "wheels.base.sideways_scale",
         _ => "wheels.base.radii_m",
     }
 }

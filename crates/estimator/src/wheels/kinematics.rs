@@ -8,7 +8,8 @@
 //! | mecanum | `(-1, 1, -1)`, `(1, 1, 1)`, `(-1, 1, 1)`, `(1, 1, -1)` | reach |
 //! | omni, wheel at the angle `α` | `(1, -sin α, cos α)` | reach |
 //!
-//! The columns of these tables are orthogonal: the least-squares solution for the motion divides by the sums of their squares. A car's
+//! The columns of these tables are orthogonal: the least-squares solution for the motion divides by the sums of their squares. Rollers slip:
+//! of the way to the side that the wheels turn, the base makes a part, its `sideways_scale`. A car's
 //! motion is `v_x = r ω_wheel`, `ω = v_x tan(δ) / L` with its wheelbase `L` and the angle `δ` of its steering.
 
 use nalgebra::{Matrix3x4, Vector3};
@@ -39,7 +40,8 @@ pub(super) struct Step {
     pub(super) rolled: [f64; MAX_WHEELS],
     /// Of `motion`, with respect to the way of each wheel (metres), and to the integral of the steering angle (rad s).
     pub(super) by_values: Matrix3x4<f64>,
-    /// Of `motion`, with respect to the parameters behind the radii: track, wheelbase or reach, and offset of the steering.
+    /// Of `motion`, with respect to the parameters behind the radii: track, wheelbase or reach, and offset of the steering or scale of the
+    /// way to the side.
     pub(super) by_geometry: [Vector3<f64>; 2],
 }
 
@@ -90,15 +92,16 @@ impl Step {
             step.by_geometry = [-turn / wheelbase, by_steering].map(|turn| Vector3::x() * turn);
             return step;
         };
-        let [turns, aheads, lefts] = squares(table);
+        let ([turns, aheads, lefts], scale) = (squares(table), base.sideways_scale());
         for (wheel, [c, a, b]) in table.iter().enumerate() {
-            let sideways = if lefts > 0.0 { b / lefts } else { 0.0 };
+            let sideways = if lefts > 0.0 { scale * b / lefts } else { 0.0 };
             let column = Vector3::new(c / (k * turns), a / aheads, sideways);
             step.rolled[wheel] = rolled_by(wheel);
             step.motion += column * step.rolled[wheel];
             step.by_values.set_column(wheel, &column);
         }
-        step.by_geometry[0] = Vector3::x() * (-step.motion.x / base.size_m());
+        step.by_geometry =
+            [Vector3::x() * (-step.motion.x / base.size_m()), Vector3::z() * (step.motion.z / scale)];
         step
     }
 
@@ -121,7 +124,7 @@ pub fn ways_of_wheels(base: &WheelBase, motion: &Vector3<f64>) -> [f64; MAX_WHEE
         return ways;
     };
     for (way, [c, a, b]) in ways.iter_mut().zip(table) {
-        *way = c * k * motion.x + a * motion.y + b * motion.z;
+        *way = c * k * motion.x + a * motion.y + b * motion.z / base.sideways_scale();
     }
     ways
 }
@@ -166,7 +169,7 @@ mod tests {
     fn bases() -> impl Iterator<Item = WheelBase> {
         BaseKind::ALL.into_iter().map(|kind| {
             let mut base = WheelBase::new(kind, 0.1, 0.6);
-            base.add(&[0.002, -0.003, 0.001, 0.004, 0.0][..base.parameters().len()]);
+            base.add(&[0.002, -0.003, 0.001, 0.004, 0.0, -0.05][..base.parameters().len()]);
             base
         })
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// Most lengths and angles of a base.
-pub const MAX_WHEEL_PARAMETERS: usize = 5;
+pub const MAX_WHEEL_PARAMETERS: usize = 6;
 
 /// A kind of base.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -107,6 +107,9 @@ pub enum WheelBase {
         radii_m: [f64; 4],
         /// Distance of a wheel's centre from the origin along x, plus that along y: half of wheelbase and track together.
         reach_m: f64,
+        /// Way to the side, of that which the wheels turn: rollers slip by some per cent.
+        #[serde(default = "all_of_the_way")]
+        sideways_scale: f64,
     },
     /// Three omni wheels, 120 degrees apart. The origin is in their middle, the x axis goes through the first one.
     Omni3 {
@@ -114,6 +117,9 @@ pub enum WheelBase {
         radii_m: [f64; 3],
         /// Distance of the wheels from the origin.
         reach_m: f64,
+        /// Way to the side, of that which the wheels turn.
+        #[serde(default = "all_of_the_way")]
+        sideways_scale: f64,
     },
     /// Four omni wheels, 90 degrees apart. The origin is in their middle, the x axis goes through the first one.
     Omni4 {
@@ -121,7 +127,14 @@ pub enum WheelBase {
         radii_m: [f64; 4],
         /// Distance of the wheels from the origin.
         reach_m: f64,
+        /// Way to the side, of that which the wheels turn.
+        #[serde(default = "all_of_the_way")]
+        sideways_scale: f64,
     },
+}
+
+fn all_of_the_way() -> f64 {
+    1.0
 }
 
 impl WheelBase {
@@ -144,9 +157,11 @@ impl WheelBase {
             BaseKind::Ackermann => {
                 Self::Ackermann { radius_m, wheelbase_m: size_m, steering_offset_rad: 0.0 }
             }
-            BaseKind::Mecanum => Self::Mecanum { radii_m: [radius_m; 4], reach_m: size_m },
-            BaseKind::Omni3 => Self::Omni3 { radii_m: [radius_m; 3], reach_m: size_m },
-            BaseKind::Omni4 => Self::Omni4 { radii_m: [radius_m; 4], reach_m: size_m },
+            BaseKind::Mecanum => {
+                Self::Mecanum { radii_m: [radius_m; 4], reach_m: size_m, sideways_scale: 1.0 }
+            }
+            BaseKind::Omni3 => Self::Omni3 { radii_m: [radius_m; 3], reach_m: size_m, sideways_scale: 1.0 },
+            BaseKind::Omni4 => Self::Omni4 { radii_m: [radius_m; 4], reach_m: size_m, sideways_scale: 1.0 },
         }
     }
 
@@ -172,13 +187,16 @@ impl WheelBase {
                 "radius_rear_left_m",
                 "radius_rear_right_m",
                 "reach_m",
+                "sideways_scale",
             ],
-            Self::Omni3 { .. } => &["radius_0_m", "radius_1_m", "radius_2_m", "reach_m"],
-            Self::Omni4 { .. } => &["radius_0_m", "radius_1_m", "radius_2_m", "radius_3_m", "reach_m"],
+            Self::Omni3 { .. } => &["radius_0_m", "radius_1_m", "radius_2_m", "reach_m", "sideways_scale"],
+            Self::Omni4 { .. } => {
+                &["radius_0_m", "radius_1_m", "radius_2_m", "radius_3_m", "reach_m", "sideways_scale"]
+            }
         }
     }
 
-    /// The radii, then track, wheelbase or reach, then the offset of the steering where there is one.
+    /// The radii, then track, wheelbase or reach, then the offset of the steering or the scale of the way to the side where there is one.
     pub fn parameters(&self) -> Vec<f64> {
         match *self {
             Self::Differential { radius_left_m, radius_right_m, track_m } => {
@@ -187,11 +205,13 @@ impl WheelBase {
             Self::Ackermann { radius_m, wheelbase_m, steering_offset_rad } => {
                 vec![radius_m, wheelbase_m, steering_offset_rad]
             }
-            Self::Mecanum { radii_m: [a, b, c, d], reach_m }
-            | Self::Omni4 { radii_m: [a, b, c, d], reach_m } => {
-                vec![a, b, c, d, reach_m]
+            Self::Mecanum { radii_m: [a, b, c, d], reach_m, sideways_scale }
+            | Self::Omni4 { radii_m: [a, b, c, d], reach_m, sideways_scale } => {
+                vec![a, b, c, d, reach_m, sideways_scale]
             }
-            Self::Omni3 { radii_m: [a, b, c], reach_m } => vec![a, b, c, reach_m],
+            Self::Omni3 { radii_m: [a, b, c], reach_m, sideways_scale } => {
+                vec![a, b, c, reach_m, sideways_scale]
+            }
         }
     }
 
@@ -212,8 +232,15 @@ impl WheelBase {
                 *steering_offset_rad += step(2);
                 (std::slice::from_mut(radius_m), wheelbase_m)
             }
-            Self::Mecanum { radii_m, reach_m } | Self::Omni4 { radii_m, reach_m } => (radii_m, reach_m),
-            Self::Omni3 { radii_m, reach_m } => (radii_m, reach_m),
+            Self::Mecanum { radii_m, reach_m, sideways_scale }
+            | Self::Omni4 { radii_m, reach_m, sideways_scale } => {
+                *sideways_scale += step(radii_m.len() + 1);
+                (radii_m, reach_m)
+            }
+            Self::Omni3 { radii_m, reach_m, sideways_scale } => {
+                *sideways_scale += step(radii_m.len() + 1);
+                (radii_m, reach_m)
+            }
         };
         radii.iter_mut().enumerate().for_each(|(index, radius)| *radius += step(index));
         *size += step(radii.len());
@@ -228,6 +255,16 @@ impl WheelBase {
             Self::Ackermann { radius_m, .. } => radius_m,
             Self::Mecanum { radii_m, .. } | Self::Omni4 { radii_m, .. } => radii_m[wheel.min(3)],
             Self::Omni3 { radii_m, .. } => radii_m[wheel.min(2)],
+        }
+    }
+
+    /// Way to the side, of that which the wheels turn; one where they cannot move the base so.
+    pub fn sideways_scale(&self) -> f64 {
+        match *self {
+            Self::Mecanum { sideways_scale, .. }
+            | Self::Omni3 { sideways_scale, .. }
+            | Self::Omni4 { sideways_scale, .. } => sideways_scale,
+            Self::Differential { .. } | Self::Ackermann { .. } => 1.0,
         }
     }
 
