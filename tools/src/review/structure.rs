@@ -154,8 +154,7 @@ impl Structure {
             };
             let (centre, axis) = (mean(&|view| view.position), mean(&|view| view.axis).normalize());
             let is_left = |view: &View| {
-                let is_near =
-                    (view.position - centre).norm() <= 0.5 * PLACE_SIZE_M || cube_of(&view.position) == cube;
+                let is_near = (view.position - centre).norm() <= reach || cube_of(&view.position) == cube;
                 is_near && view.axis.dot(&axis) >= SAME_DIRECTION
             };
             if !views.iter().any(is_left) {
