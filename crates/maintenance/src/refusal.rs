@@ -20,6 +20,22 @@ pub enum Refusal {
     /// It shows no place of the map.
     #[error("it is of another place, or too little of it is of this one: {0}")]
     OtherPlace(Box<ExtendError>),
+    /// What it shows is of this place or of one that looks alike.
+    #[error(
+        "it may be of another place: {agreeing} of its keyframes agree with a place of the map, of whose views another one explains {:.0} %, and \
+         only {told_apart} of them look like no other one; at least {least} must",
+        100.0 * repeating
+    )]
+    Repeating {
+        /// Part of the map's views that another place of it explains as well.
+        repeating: f64,
+        /// Keyframes that agree with its trajectory.
+        agreeing: usize,
+        /// Those of them that show a place that looks like no other one.
+        told_apart: usize,
+        /// How many must.
+        least: usize,
+    },
     /// It cannot be located in the map for another reason.
     #[error("it cannot be located in the map: {0}")]
     Extension(Box<ExtendError>),
@@ -75,11 +91,12 @@ impl Refusal {
     /// [`Refusal::kind`] of a session that shows too little of the map, which may grow to its place.
     pub const OTHER_PLACE: &'static str = "other-place";
 
+
     /// The reason in one word, for programs: `twice`, `other-place`, `contradiction`, `unusable`.
     pub fn kind(&self) -> &'static str {
         match self {
             Refusal::InMap(_) | Refusal::ImageInMap(_) => "twice",
-            Refusal::OtherPlace(_) => Self::OTHER_PLACE,
+            Refusal::OtherPlace(_) | Refusal::Repeating { .. } => Self::OTHER_PLACE,
             Refusal::Places { .. } | Refusal::Pixels { .. } | Refusal::Moved { .. } => "contradiction",
             Refusal::Odometry(_) | Refusal::Extension(_) | Refusal::NothingLeft | Refusal::Contents(_) => {
                 "unusable"

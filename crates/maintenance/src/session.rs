@@ -5,9 +5,9 @@ use std::ops::RangeInclusive;
 
 use map::{Keyframe, Landmark, MapContents, edit};
 use mapping::{
-    BuildOptions, ExtendError, ExtensionReport, Former, LocatedErrors, MAX_SIGMA_PX, MapPoses, Progress,
-    Stage, check_new_recording, extend_map, find_aliases_of_independent, located_errors, part_shown,
-    put_back, run_odometry,
+    BuildOptions, ExtendError, ExtensionReport, Former, LocatedErrors, MAX_SIGMA_PX, MapPoses, PartShown,
+    Progress, SearchedMap, Stage, check_new_recording, extend_map, extend_part, find_aliases_of_independent,
+    located_errors, part_shown, put_back, run_odometry,
 };
 use protocol::{FeatureSet, KeyframeId, LandmarkId};
 use sensors::Sequence;
@@ -26,6 +26,10 @@ const CONFIDENCE: f64 = 0.9999;
 
 /// Keyframes whose place looks like no other one, at least, that locate a session where most of what it shows repeats.
 const LEAST_TOLD_APART: usize = 3;
+/// A map repeats where another place explains this part of its views, or more. A drive through an aisle that was never mapped and looks like
+/// mapped ones agrees with one of these everywhere, so that in such a map some of its places must look like no other one. The
+/// session of a rendered warehouse that was hardest to locate had seven of them.
+const REPEATING: f64 = 0.2;
 
 /// Which maps are worked on in parts, and how large these are.
 #[derive(Clone, Copy, Debug)]
@@ -87,11 +91,12 @@ pub(crate) fn take_session_by_parts(
     let images: usize = work.sequence.frames.iter().map(|frame| frame.features.len()).sum();
     let [least, most] = sizes.keyframes;
     let count = (PART_KEYFRAMES_AN_IMAGE * images).clamp(least, most);
-    let keyframes = part_shown(map, work.sequence, count, work.progress)?;
+    let PartShown { keyframes, whole } = part_shown(map, work.sequence, count, work.progress)?;
     let mut part = edit::part_of(map, &keyframes);
     // The ids of new keyframes come after all of the map's, also where it has no ledger.
     part.info.sessions = map.sessions_or_one(&map.info.name);
-    let Taken { contents, errors, lost, mut report } = work.take(&part, Some((map, &keyframes)))?;
+    let Taken { contents, errors, lost, mut report } =
+        work.take(&part, Some(Whole { map, part: &keyframes, searched: whole }))?;
     contents.validate()?;
     let former = Former::of(map, &part, &contents);
     put_back(map, &part, contents, &lost, errors);
@@ -128,6 +133,14 @@ struct Taken {
     report: SessionReport,
 }
 
+/// The map that a session is worked into a part of.
+struct Whole<'a> {
+    map: &'a MapContents,
+    /// The keyframes of the part.
+    part: &'a BTreeSet<KeyframeId>,
+    searched: SearchedMap,
+}
+
 /// A session that is to be worked into a map.
 struct Work<'a, 'p> {
     sequence: &'a mut Sequence,
@@ -140,12 +153,8 @@ impl Work<'_, '_> {
     /// Works the session into a map.
     ///
     /// # Arguments
-    /// * `whole`: the map that it is a part of, and the keyframes of the part.
-    fn take(
-        &mut self,
-        map: &MapContents,
-        whole: Option<(&MapContents, &BTreeSet<KeyframeId>)>,
-    ) -> Result<Taken, Refusal> {
+    /// * `whole`: what it is a part of.
+    fn take(&mut self, map: &MapContents, whole: Option<Whole<'_>>) -> Result<Taken, Refusal> {
         let (settings, progress) = (self.settings, &mut *self.progress);
         let cameras = self.sequence.cameras.len();
         let odometry =
@@ -154,7 +163,11 @@ impl Work<'_, '_> {
         build.map_poses = MapPoses::Considered;
         build.sigma_px = None;
         let sequence = &*self.sequence;
-        let (mut contents, extension) = extend_map(map, sequence, &odometry, None, &build, progress)?;
+        let (searched, whole) = whole.map(|of| (of.searched, (of.map, of.part))).unzip();
+        let (mut contents, extension) = match searched {
+            Some(searched) => extend_part(map, searched, sequence, &odometry, &build, progress)?,
+            None => extend_map(map, sequence, &odometry, None, &build, progress)?,
+        };
         check_consistency(map, &extension, settings)?;
         let Some(ids) = ids_of_new(map, &contents) else { return Err(Refusal::NothingLeft) };
         let errors = whole.map(|(whole, part)| located_errors(whole, part, &contents));
@@ -236,14 +249,25 @@ fn ids_of_new(before: &MapContents, after: &MapContents) -> Option<RangeInclusiv
     Some(new().min()?..=new().max()?)
 }
 
-/// Checks that the places of the map that a session shows agree with its trajectory: most of all, or most of those that look like no
-/// other one. Where a place repeats, a drive that begins beyond the map looks like the map wherever that looks alike.
+/// Checks that the places of the map that a session shows agree with its trajectory: most of all, of which in a map that repeats some look like
+/// no other one, or most of those that do. Where a place repeats, a drive that begins beyond the map looks like the map wherever that looks alike.
 fn check_places(extension: &ExtensionReport, settings: &Settings) -> Result<(), Refusal> {
-    let ExtensionReport { places, agreeing_places, places_told_apart, agreeing_told_apart, .. } = *extension;
+    let ExtensionReport {
+        places, agreeing_places, places_told_apart, agreeing_told_apart, repeating, ..
+    } = *extension;
     let wanted = |found: usize| (settings.min_agreeing * found as f64).ceil() as usize;
     let of_told_apart = wanted(places_told_apart).max(LEAST_TOLD_APART);
-    if agreeing_places >= wanted(places) || agreeing_told_apart >= of_told_apart {
+    if agreeing_told_apart >= of_told_apart {
         return Ok(());
+    }
+    if agreeing_places >= wanted(places) {
+        let may_be_elsewhere = repeating >= REPEATING && agreeing_told_apart < LEAST_TOLD_APART;
+        let (agreeing, told_apart, least) = (agreeing_places, agreeing_told_apart, LEAST_TOLD_APART);
+        return if may_be_elsewhere {
+            Err(Refusal::Repeating { repeating, agreeing, told_apart, least })
+        } else {
+            Ok(())
+        };
     }
     if places_told_apart >= 2 * LEAST_TOLD_APART {
         return Err(Refusal::Places {
@@ -293,6 +317,25 @@ mod tests {
     use testing::{Place, PlaceOptions};
 
     use super::*;
+
+    /// Half of the places of a map are like another one.
+    #[test]
+    fn in_a_map_that_repeats_some_places_must_look_like_no_other_one() {
+        let mut extension = ExtensionReport::default();
+        extension.new_keyframes = 30;
+        (extension.places, extension.agreeing_places) = (20, 20);
+        let mut judged = |repeating: f64, told_apart: usize| {
+            extension.repeating = repeating;
+            (extension.places_told_apart, extension.agreeing_told_apart) = (told_apart, told_apart);
+            check_places(&extension, &Settings::default())
+        };
+        judged(0.0, 0).unwrap();
+        judged(0.1, 1).unwrap();
+        judged(0.5, 3).unwrap();
+        let refusal = judged(0.5, 2).unwrap_err();
+        assert_eq!(refusal.kind(), Refusal::OTHER_PLACE);
+        assert!(refusal.to_string().contains("50 %"), "{refusal}");
+    }
 
     /// A session of 30 keyframes.
     fn judged(places: usize, agreeing: usize, told_apart: usize, of_them: usize) -> Result<(), Refusal> {

@@ -89,15 +89,16 @@ pub use added_features::{AddFeaturesError, AddOptions, AddedReport, add_features
 pub use aliasing::{find_aliases, find_aliases_of_independent};
 pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap, stamp_images};
 pub use error::BuildError;
-pub use extension::{ExtendError, ExtensionReport, extend_map};
+pub use extension::{ExtendError, ExtensionReport, extend_map, extend_part};
 pub use feature_source::Extraction;
 pub use kept_images::{KeptImages, keep_images};
 pub use map_frame::map_in_frame;
 pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;
 pub use options::{BuildOptions, MapPoses, StoredPoses};
-pub use parts::{Former, LocatedErrors, located_errors, part_shown, put_back};
+pub use parts::{Former, LocatedErrors, PartShown, located_errors, part_shown, put_back};
 pub use pipeline::build_map;
+pub use places::SearchedMap;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};
 pub use recorded_odometry::{

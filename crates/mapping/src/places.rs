@@ -9,7 +9,7 @@ use geometry::rotation;
 use geometry::uncertain_pose::isotropic_covariance;
 use map::contents::MapContents;
 use nalgebra::Vector3;
-use protocol::{FeatureSet, LandmarkId};
+use protocol::{FeatureSet, KeyframeId, LandmarkId};
 use recognition::{LoadedMap, RecognitionOptions};
 
 use super::error::BuildError;
@@ -69,23 +69,64 @@ pub(super) fn searchable(stored: &MapContents) -> MapContents {
     searched
 }
 
+/// The places of a map that views show.
+#[derive(Debug, Default)]
+pub(super) struct FoundPlaces {
+    pub(super) places: Vec<StoredPlace>,
+    /// Part of the map's views that another place of it explains as well.
+    pub(super) repeating: f64,
+}
+
+/// A map that was indexed to be searched, with its keyframes as if they were exact.
+pub struct SearchedMap(LoadedMap);
+
+impl SearchedMap {
+    /// # Errors
+    /// [`BuildError::Index`] for a map that cannot be searched.
+    pub(super) fn of(map: &MapContents) -> Result<SearchedMap, BuildError> {
+        Ok(SearchedMap(LoadedMap::from_contents(searchable(map))?))
+    }
+
+    pub(super) fn loaded(&self) -> &LoadedMap {
+        &self.0
+    }
+
+    fn repeating(&self) -> f64 {
+        let rate = self.0.aliasing_rate();
+        if rate.views > 0.0 { rate.aliased / rate.views } else { 0.0 }
+    }
+
+    /// The keyframes of the place that an image shows and no other, see [`LoadedMap::weighed_places`].
+    fn told_apart(
+        &self,
+        query: &PlaceQuery<'_>,
+        gravity_in_camera: Option<Vector3<f64>>,
+    ) -> Result<BTreeSet<KeyframeId>, BuildError> {
+        let options = RecognitionOptions::default();
+        let places = self.0.weighed_places(query.camera, query.features, gravity_in_camera, &options)?;
+        let told_apart = places.into_iter().filter(|(_, is_told_apart)| *is_told_apart);
+        Ok(told_apart.map(|(place, _)| place.keyframe).collect())
+    }
+}
+
 /// Searches views in a map.
 ///
 /// # Arguments
+/// * `whole`: the map that it is a part of: what looks alike elsewhere in it is not told apart.
 /// * `poses`: of all views, in a frame with z up; those of the map follow them.
 ///
 /// # Errors
 /// [`BuildError::Index`], [`BuildError::Recognition`].
 pub(super) fn find_places(
     stored: &MapContents,
+    whole: Option<&SearchedMap>,
     queries: &[PlaceQuery<'_>],
     poses: &[Pose],
     progress: Progress<'_>,
-) -> Result<Vec<StoredPlace>, BuildError> {
-    let searched = searchable(stored);
+) -> Result<FoundPlaces, BuildError> {
     let view_of: BTreeMap<u64, usize> =
-        searched.keyframes.iter().map(|keyframe| keyframe.id).zip(poses.len()..).collect();
-    let map = LoadedMap::from_contents(searched)?;
+        stored.keyframes.iter().map(|keyframe| keyframe.id).zip(poses.len()..).collect();
+    let map = SearchedMap::of(stored)?;
     let (options, down) = (RecognitionOptions::default(), -Vector3::z());
     let mut found = Vec::new();
     for (done, query) in queries.iter().enumerate() {
@@ -94,8 +135,14 @@ pub(super) fn find_places(
         let global_from_camera =
             query.view_from_camera.map_or(poses[view], |camera| poses[view].compose(&camera));
         let gravity_in_camera = Some(global_from_camera.rotation.inverse() * down);
-        let places = map.weighed_places(query.camera, query.features, gravity_in_camera, &options)?;
+        let places = map.0.weighed_places(query.camera, query.features, gravity_in_camera, &options)?;
+        let in_whole = match whole {
+            Some(whole) if !places.is_empty() => Some(whole.told_apart(query, gravity_in_camera)?),
+            _ => None,
+        };
         for (place, is_told_apart) in places.into_iter().take(PLACES_AN_IMAGE) {
+            let is_told_apart =
+                in_whole.as_ref().map_or(is_told_apart, |of_whole| of_whole.contains(&place.keyframe));
             let stored_view = view_of[&place.keyframe];
             let keyframe = &stored.keyframes[stored_view - poses.len()].global_from_keyframe.pose;
             let found_pose = place.global_from_camera;
@@ -114,7 +161,7 @@ pub(super) fn find_places(
         }
     }
     progress(Stage::PlaceRecognition, queries.len(), queries.len());
-    Ok(found)
+    Ok(FoundPlaces { places: found, repeating: whole.unwrap_or(&map).repeating() })
 }
 
 /// Where the frame of the recording is in G: by the place with which the most others agree.

@@ -15,6 +15,15 @@ const APART_M: f64 = 300.0;
 ///
 /// The errors of different halls are independent.
 pub(super) fn halls(hall: &MapContents, count: u64) -> MapContents {
+    copies(hall, count, false)
+}
+
+/// The same with the same descriptors in all halls.
+pub(super) fn alike_halls(hall: &MapContents, count: u64) -> MapContents {
+    copies(hall, count, true)
+}
+
+fn copies(hall: &MapContents, count: u64, alike: bool) -> MapContents {
     let keyframe_ids = 1 + hall.keyframes.iter().map(|keyframe| keyframe.id).max().unwrap();
     let landmark_ids = 1 + hall.landmarks.iter().map(|landmark| landmark.id).max().unwrap();
     let mut map = MapContents::empty(hall.info.clone());
@@ -31,7 +40,7 @@ pub(super) fn halls(hall: &MapContents, count: u64) -> MapContents {
         }
         for of_hall in &hall.landmarks {
             let mut landmark = of_hall.clone().with_higher_ids(keyframe_id, landmark_id);
-            let other: Vec<u8> = (0..32).map(|_| if copy == 0 { 0 } else { rng.random() }).collect();
+            let other: Vec<u8> = (0..32).map(|_| if copy == 0 || alike { 0 } else { rng.random() }).collect();
             for seen in &mut landmark.observations {
                 seen.descriptor.iter_mut().zip(&other).for_each(|(byte, other)| *byte ^= other);
             }

@@ -4,15 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use faer::{Mat, Side};
 use map::{MapContents, edit};
-use mapping::{BuildOptions, PosePriors, build_map_from_odometry, part_shown, run_odometry};
+use mapping::{
+    BuildOptions, MapPoses, PartShown, PosePriors, build_map_from_odometry, extend_map, extend_part,
+    find_aliases, part_shown, run_odometry,
+};
 use nalgebra::DMatrix;
 use protocol::{KeyframeId, LandmarkId};
 use sensors::Sequence;
 use simulation::{ChangingPlace, Scenario, SimulationOptions};
 use testing::add_second_kind;
 
-use super::halls::{add_drift, halls};
+use super::halls::{add_drift, alike_halls, halls};
 use super::{DAY_NS, FIRST_NS};
+use crate::refusal::Refusal;
 use crate::report::SessionReport;
 use crate::session::{PART_SIZES, PartSizes, take_session_by_parts};
 use crate::settings::Settings;
@@ -151,7 +155,7 @@ fn what_keyframes_beyond_the_border_of_a_part_show_is_not_thinned() {
     let before = map_of(&room);
     let session = room.record(2, FIRST_NS + DAY_NS).unwrap();
     let most = before.keyframes.len() / 2;
-    let part = part_shown(&before, &session, most, &mut |_, _, _| {}).unwrap();
+    let part = part_shown(&before, &session, most, &mut |_, _, _| {}).unwrap().keyframes;
     let (after, report) = taken(&before, &session, &few_landmarks(), in_parts_of(most));
     assert!(report.surplus_landmarks > 10 && report.gone_m.is_empty(), "{report:?}");
     let shown_beyond: BTreeSet<LandmarkId> = before
@@ -163,6 +167,48 @@ fn what_keyframes_beyond_the_border_of_a_part_show_is_not_thinned() {
     let left: BTreeSet<LandmarkId> = after.landmarks.iter().map(|landmark| landmark.id).collect();
     let lost: Vec<&LandmarkId> = shown_beyond.difference(&left).collect();
     assert!(shown_beyond.len() > 100 && lost.is_empty(), "{} of {} are lost", lost.len(), shown_beyond.len());
+}
+
+/// Whoever drives in one of two halls that look alike, or in a third one, may be in any of them.
+#[test]
+fn a_hall_that_looks_like_another_one_takes_no_session_also_where_its_part_has_no_rival() {
+    let room = room();
+    let hall = map_of(&room);
+    let mut both = alike_halls(&hall, 2);
+    both.aliases.clear();
+    find_aliases(&mut both, &mut |_, _, _| {}).unwrap();
+    let session = room.record(2, FIRST_NS + DAY_NS).unwrap();
+    let first: BTreeSet<KeyframeId> = both.keyframes[..hall.keyframes.len()].iter().map(|of| of.id).collect();
+    let part = edit::part_of(&both, &first);
+    let odometry = run_odometry(&mut session.clone(), 2, |_, _| {}).unwrap();
+    let mut build = BuildOptions::default();
+    build.map_poses = MapPoses::Considered;
+    let PartShown { whole, .. } = part_shown(&both, &session, 1, &mut |_, _, _| {}).unwrap();
+    let [by_itself, of_whole] = [None, Some(whole)].map(|whole| {
+        let progress = &mut |_, _, _| {};
+        let (_, report) = match whole {
+            Some(whole) => extend_part(&part, whole, &session, &odometry, &build, progress),
+            None => extend_map(&part, &session, &odometry, None, &build, progress),
+        }
+        .unwrap();
+        (report.places_told_apart, report.repeating)
+    });
+    assert!(by_itself.0 > 5 && by_itself.1 < 0.1, "{by_itself:?}");
+    assert!(of_whole.0 == 0 && of_whole.1 > 0.5, "{of_whole:?}");
+    for sizes in [in_parts_of(hall.keyframes.len()), AS_A_WHOLE] {
+        let mut map = both.clone();
+        let refused = take_session_by_parts(
+            &mut map,
+            &mut session.clone(),
+            &BuildOptions::default(),
+            &Settings::default(),
+            sizes,
+            &mut |_, _, _| {},
+        );
+        let refusal = refused.unwrap_err();
+        assert_eq!(refusal.kind(), Refusal::OTHER_PLACE, "{refusal}");
+        assert!(map == both);
+    }
 }
 
 /// What a map states of some of its keyframes.

@@ -36,7 +36,8 @@ use crate::loop_closure::{consistent, is_kept};
 use crate::odometry::Odometry;
 use crate::options::{BuildOptions, MapPoses};
 use crate::places::{
-    Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, told_apart_count, view_count,
+    Alignment, FoundPlaces, MIN_AGREEING, PlaceQuery, SearchedMap, StoredPlace, align, find_places,
+    told_apart_count, view_count,
 };
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, located_covariance, state_covariance, stated_covariance};
@@ -74,6 +75,35 @@ pub fn extend_map(
     options: &BuildOptions,
     progress: Progress<'_>,
 ) -> Result<(MapContents, ExtensionReport), ExtendError> {
+    extend(stored, None, (sequence, odometry, extraction), options, progress)
+}
+
+/// Extends a part of a map, as [`extend_map`] does: places count as told apart where they are in the whole map.
+///
+/// # Arguments
+/// * `part`: as [`part_of`](map::edit::part_of) gives it.
+/// * `whole`: the map that it is a part of. It is let go once places are found.
+///
+/// # Errors
+/// As of [`extend_map`].
+pub fn extend_part(
+    part: &MapContents,
+    whole: SearchedMap,
+    sequence: &Sequence,
+    odometry: &Odometry,
+    options: &BuildOptions,
+    progress: Progress<'_>,
+) -> Result<(MapContents, ExtensionReport), ExtendError> {
+    extend(part, Some(whole), (sequence, odometry, None), options, progress)
+}
+
+fn extend(
+    stored: &MapContents,
+    whole: Option<SearchedMap>,
+    (sequence, odometry, extraction): (&Sequence, &Odometry, Option<Extraction<'_>>),
+    options: &BuildOptions,
+    progress: Progress<'_>,
+) -> Result<(MapContents, ExtensionReport), ExtendError> {
     let start = Instant::now();
     check_vertical(stored)?;
     check_new_recording(&stored.info, sequence, options)?;
@@ -84,7 +114,9 @@ pub fn extend_map(
     let own_covariance = state_covariance(&builder.rig.cameras, &of_recording, &session, sigma_px)?;
     let own_poses = OwnPoses::new(&keyframes(&builder.views), &session.poses, &own_covariance);
     builder.options.sigma_px = Some(sigma_px);
-    let found = places_of(stored, &mut builder, &session.poses)?;
+    let FoundPlaces { places: found, repeating } =
+        places_of(stored, whole.as_ref(), &mut builder, &session.poses)?;
+    drop(whole);
     let mut report = ExtensionReport {
         new_keyframes: builder.report.keyframes,
         unreadable_images: builder.report.unreadable_images.clone(),
@@ -94,6 +126,7 @@ pub fn extend_map(
         stored_keyframes: stored.keyframes.len(),
         places: view_count(&found),
         places_told_apart: told_apart_count(&found),
+        repeating,
         ..ExtensionReport::default()
     };
     let mut both = session;
@@ -165,9 +198,10 @@ fn check_new(stored: &MapContents, builder: &Builder<'_, '_>) -> Result<(), Exte
 /// Searches the keyframes of a recording in the map.
 fn places_of(
     stored: &MapContents,
+    whole: Option<&SearchedMap>,
     builder: &mut Builder<'_, '_>,
     poses: &[Pose],
-) -> Result<Vec<StoredPlace>, BuildError> {
+) -> Result<FoundPlaces, BuildError> {
     let mut queries: Vec<PlaceQuery<'_>> = Vec::new();
     for (view, content) in builder.views.iter().enumerate() {
         queries.extend(content.images.iter().enumerate().map(|(image, of)| PlaceQuery {
@@ -178,7 +212,7 @@ fn places_of(
             features: &of.features,
         }));
     }
-    find_places(stored, &queries, poses, builder.progress)
+    find_places(stored, whole, &queries, poses, builder.progress)
 }
 
 /// Moves the first views from the frame of the recording to G.

@@ -32,6 +32,8 @@ pub struct ExtensionReport {
     pub places_told_apart: usize,
     /// Those of them that agree.
     pub agreeing_told_apart: usize,
+    /// Part of the map's views that another place of it explains as well.
+    pub repeating: f64,
     /// Keyframes of the map that these places tie to the recording; all others follow by their correlations with these.
     pub tied_keyframes: usize,
     /// How far the map moves the recording's keyframes relative to each other, squared, in units of what is to be expected: chi-square

@@ -110,7 +110,7 @@ pub fn merge_maps(
     let features = KeyframeFeatures::of_map(second);
     let mut poses: Vec<Pose> = poses_of(second).collect();
     let queries: Vec<PlaceQuery<'_>> = features.iter().map(KeyframeFeatures::query).collect();
-    let found = find_places(first, &queries, &poses, progress)?;
+    let found = find_places(first, None, &queries, &poses, progress)?.places;
     report.places = view_count(&found);
     poses.extend(poses_of(first));
     let alignment = align(&found, &poses).ok_or_else(|| not_connected(&report))?;

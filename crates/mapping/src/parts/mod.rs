@@ -17,4 +17,4 @@ mod tests;
 pub use former::Former;
 pub use located::{LocatedErrors, located_errors};
 pub use put_back::put_back;
-pub use selection::part_shown;
+pub use selection::{PartShown, part_shown};

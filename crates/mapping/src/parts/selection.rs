@@ -6,18 +6,26 @@ use geometry::camera::Camera;
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use protocol::{FeatureSet, KeyframeId};
-use recognition::{LoadedMap, RecognitionOptions};
+use recognition::RecognitionOptions;
 use sensors::Sequence;
 
 use crate::error::BuildError;
 use crate::extension::ExtendError;
-use crate::places::{MIN_AGREEING, searchable};
+use crate::places::{MIN_AGREEING, SearchedMap};
 use crate::progress::{Progress, Stage};
 
 /// Images that are searched in the map, about: along the whole recording, of each camera.
 const PROBES: usize = 40;
 /// Places of one image that count: those with the most matches.
 const PLACES_AN_IMAGE: usize = 2;
+
+/// The part of a map that a recording shows.
+pub struct PartShown {
+    /// Its keyframes.
+    pub keyframes: BTreeSet<KeyframeId>,
+    /// The whole map, as it was searched.
+    pub whole: SearchedMap,
+}
 
 /// The keyframes of a map about the places that a recording shows.
 ///
@@ -32,15 +40,15 @@ pub fn part_shown(
     sequence: &Sequence,
     most: usize,
     progress: Progress<'_>,
-) -> Result<BTreeSet<KeyframeId>, ExtendError> {
+) -> Result<PartShown, ExtendError> {
     let probes = probes(sequence);
-    let loaded = LoadedMap::from_contents(searchable(map)).map_err(BuildError::from)?;
+    let whole = SearchedMap::of(map)?;
     let options = RecognitionOptions::default();
     let mut found: Vec<Vector3<f64>> = Vec::new();
     let mut images = 0;
     for (done, &(camera, features)) in probes.iter().enumerate() {
         progress(Stage::PlaceRecognition, done, probes.len());
-        let places = loaded.verified_places(camera, features, None, &|_| true, &options);
+        let places = whole.loaded().verified_places(camera, features, None, &|_| true, &options);
         let places = places.map_err(BuildError::from)?;
         images += usize::from(!places.is_empty());
         let positions = places.iter().take(PLACES_AN_IMAGE);
@@ -68,7 +76,8 @@ pub fn part_shown(
         })
         .collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    Ok(near.into_iter().take(most).map(|(_, id)| id).collect())
+    let keyframes = near.into_iter().take(most).map(|(_, id)| id).collect();
+    Ok(PartShown { keyframes, whole })
 }
 
 /// The images that are searched, with their cameras.
