@@ -25,7 +25,6 @@ mod own_map;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;
-pub mod refused_sessions;
 #[cfg(feature = "releases")]
 pub mod review;
 pub mod run_tracks;

@@ -133,10 +133,57 @@ fn sessions_are_taken_once_and_bad_ones_are_named() {
     assert_eq!((&written["version"], &written["candidate"]), (&Value::Null, &serde_json::json!(1)));
 }
 
+/// How often the work on a session was begun and not ended, by what is remembered beside the map.
+fn begun(scratch: &Scratch) -> u64 {
+    let text = std::fs::read(scratch.path("hall.db.refused.json")).unwrap_or_default();
+    let remembered: Value = serde_json::from_slice(&text).unwrap_or_default();
+    remembered["begun"].as_object().map_or(0, |begun| begun.values().filter_map(Value::as_u64).sum())
+}
+
+#[test]
+fn a_session_that_ends_the_program_twice_is_passed_over_and_what_is_taken_can_be_removed() {
+    let scratch = in_town();
+    scratch.run("run town/live --map hall.db --out run --robot ada --hand-in recorded");
+    let file = file_of(&scratch, "ada");
+    let before = json_of(&scratch, "map-info --map hall.db");
+    for kill in 1..=2 {
+        let mut running = scratch.start("maintain --map hall.db --inbox recorded");
+        while begun(&scratch) < kill {
+            assert!(running.try_wait().unwrap().is_none(), "it ended before it could be killed");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        running.kill().unwrap();
+        running.wait().unwrap();
+    }
+    assert_eq!(json_of(&scratch, "map-info --map hall.db"), before);
+    let third = json_of(&scratch, "maintain --map hall.db --inbox recorded --remove-taken");
+    assert_eq!((kinds(&third), &third["version"]), (vec!["interrupted"], &Value::Null), "{third:#}");
+    assert!(scratch.path(&file).exists());
+
+    // Removed from what is remembered, it is tried again; its file goes when the map has it, and no file beyond the inbox.
+    std::fs::remove_file(scratch.path("hall.db.refused.json")).unwrap();
+    std::fs::copy(scratch.path(&file), scratch.path("copy.session")).unwrap();
+    let night = "maintain --map hall.db copy.session --inbox recorded --remove-taken";
+    let taken = json_of(&scratch, night);
+    assert_eq!((taken["taken"].as_array().unwrap().len(), &taken["version"]), (1, &serde_json::json!(2)));
+    // The copy was taken, and that of the inbox was one more of the same.
+    assert_eq!(kinds(&taken), ["twice"]);
+    assert!(scratch.path(&file).exists() && scratch.path("copy.session").exists());
+    let next = json_of(&scratch, night);
+    assert_eq!(next["removed_files"], serde_json::json!([file]), "{next:#}");
+    assert!(!scratch.path(&file).exists() && scratch.path("copy.session").exists());
+    let dry = scratch.command("maintain --map hall.db --inbox recorded --remove-taken --dry-run").output();
+    assert!(!dry.unwrap().status.success());
+}
+
 #[test]
 fn settings_that_make_no_sense_are_refused() {
     let scratch = in_town();
-    for (switch, said) in [("--half-life 0", "positive"), ("--min-existence 0.6", "below 0.5")] {
+    for (switch, said) in [
+        ("--half-life 0", "positive"),
+        ("--min-existence 0.6", "below 0.5"),
+        ("--save-minutes=-1", "give minutes"),
+    ] {
         let ended = scratch.command(&format!("maintain --map hall.db town {switch}")).output().unwrap();
         let error = String::from_utf8(ended.stderr).unwrap();
         assert!(!ended.status.success() && error.contains(said), "{error}");

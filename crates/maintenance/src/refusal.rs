@@ -91,15 +91,19 @@ impl Refusal {
     /// [`Refusal::kind`] of a session that shows too little of the map, which may grow to its place.
     pub const OTHER_PLACE: &'static str = "other-place";
 
+    /// That of one that contradicts the map, or itself.
+    pub const CONTRADICTION: &'static str = "contradiction";
+    /// That of one that cannot be used for another reason.
+    pub const UNUSABLE: &'static str = "unusable";
 
     /// The reason in one word, for programs: `twice`, `other-place`, `contradiction`, `unusable`.
     pub fn kind(&self) -> &'static str {
         match self {
             Refusal::InMap(_) | Refusal::ImageInMap(_) => "twice",
             Refusal::OtherPlace(_) | Refusal::Repeating { .. } => Self::OTHER_PLACE,
-            Refusal::Places { .. } | Refusal::Pixels { .. } | Refusal::Moved { .. } => "contradiction",
+            Refusal::Places { .. } | Refusal::Pixels { .. } | Refusal::Moved { .. } => Self::CONTRADICTION,
             Refusal::Odometry(_) | Refusal::Extension(_) | Refusal::NothingLeft | Refusal::Contents(_) => {
-                "unusable"
+                Self::UNUSABLE
             }
         }
     }

@@ -1,10 +1,11 @@
 //! `driftless maintain`: keeps a map true by the sessions that robots have handed in.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
 use maintenance::Settings;
+use map::MapContents;
 use map::store::{MapTarget, load_map};
 use mapping::Stage;
 
@@ -14,8 +15,10 @@ use map::sessions::SessionId;
 use releases::Outcome;
 
 use super::build_report::print_partial_kinds;
-use crate::maintenance_job::{DoubtfulSession, JobReport, RefusedSession, TakenSession, Watch, maintain};
-use crate::refused_sessions::RefusedSessions;
+use crate::maintenance_job::{
+    DoubtfulSession, JobReport, MapStorage, RefusedSession, RefusedSessions, Storage, TakenSession, Watch,
+    maintain, remove_taken,
+};
 use crate::stage_bar::StageBar;
 
 /// Arguments.
@@ -30,9 +33,10 @@ use crate::stage_bar::StageBar;
     taken. What a session should have seen and did not becomes less likely to be there; landmarks that are gone and keyframes that\n\
     show too little of what is left are taken out, and a place keeps a bounded number of keyframes of each appearance,\n\
     and of landmarks.\n\n\
-    All of it becomes one new version of DB, in one step. A run that finds nothing new writes no version. A session that is refused is\n\
-    looked at again when the map or the settings have changed: the map may have grown to its place (DB.refused.json remembers them).\n\
-    To discard it, delete its .session file.\n\n\
+    All of it becomes a new version of DB, in one step, and where it lasts, one every ten minutes. A run that finds nothing new writes no\n\
+    version. A session that is refused is looked at again when the map or the settings have changed: the map may have grown to its place\n\
+    (DB.refused.json remembers them). One that contradicts the map is looked at again when a tenth of the keyframes are others. One that\n\
+    the program was ended with twice is passed over. To discard a session, delete its .session file.\n\n\
     With --to, sessions of the map that neither the newest release nor a candidate has are proposed even where nothing new came in:\n\
     a night whose store was away is made up for.")]
 pub struct Args {
@@ -53,6 +57,12 @@ pub struct Args {
     /// Say what would be done, and write nothing
     #[arg(long)]
     dry_run: bool,
+    /// While sessions come in, write what was done so far after so many minutes, as a version of the map
+    #[arg(long, value_name = "MINUTES", default_value_t = 10.0)]
+    save_minutes: f64,
+    /// Delete the files of sessions that the map has from the inbox, once it is written
+    #[arg(long, requires = "inbox", conflicts_with = "dry_run")]
+    remove_taken: bool,
     /// Write what was done to a file, as JSON, with the positions of what is gone
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -188,20 +198,15 @@ pub fn run(args: &Args) -> Result<()> {
     }
     #[cfg(feature = "releases")]
     args.publishing.check()?;
-    let target = MapTarget::new(&args.map, true)?;
+    let interval = Duration::try_from_secs_f64(60.0 * args.save_minutes)
+        .with_context(|| format!("--save-minutes {}: give minutes, or 0", args.save_minutes))?;
+    let mut storage = MapStorage::new(MapTarget::new(&args.map, true)?, interval);
     let stored = load_map(&args.map)?.contents;
-    let mut lines = Lines { is_quiet: args.json, work: None };
-    let mut refused = RefusedSessions::read(&args.map, &settings);
-    let inbox = args.inbox.as_deref();
-    let (contents, mut report) =
-        maintain(stored, &args.sessions, inbox, &settings, &mut refused, &mut lines)?;
-    let mut remembered = Ok(());
-    if !args.dry_run {
-        if !report.taken.is_empty() {
-            report.version = Some(target.save(&contents)?.version);
-        }
-        // What was done is reported and proposed all the same.
-        remembered = refused.write(&args.map);
+    let (contents, mut report, mut remembered) = work(args, &settings, stored, &mut storage)?;
+    if let Some(inbox) = args.inbox.as_deref().filter(|_| args.remove_taken) {
+        let (removed, all) = remove_taken(inbox, &report);
+        report.removed_files = removed;
+        remembered = remembered.and(all);
     }
     #[cfg(feature = "releases")]
     let candidate = {
@@ -236,6 +241,28 @@ pub fn run(args: &Args) -> Result<()> {
     remembered
 }
 
+/// Works the sessions in, and writes the map.
+///
+/// # Returns
+/// The map, what was done, and whether the sessions that were refused are remembered: what was done is reported and proposed all the same.
+fn work(
+    args: &Args,
+    settings: &Settings,
+    stored: MapContents,
+    storage: &mut MapStorage,
+) -> Result<(MapContents, JobReport, Result<()>)> {
+    let mut lines = Lines { is_quiet: args.json, work: None };
+    let mut refused = RefusedSessions::read(&args.map, settings);
+    let inbox = args.inbox.as_deref();
+    let kept: &mut dyn Storage = if args.dry_run { &mut () } else { &mut *storage };
+    let done = maintain(stored, &args.sessions, inbox, settings, &mut refused, kept, &mut lines);
+    // Also where the map could not be written: the session that was worked on did not end the program.
+    let remembered = if args.dry_run { Ok(()) } else { refused.write(&args.map) };
+    let (mut contents, mut report) = done?;
+    report.version = storage.save(&mut contents)?;
+    Ok((contents, report, remembered))
+}
+
 fn print(args: &Args, report: &JobReport) {
     let JobReport { taken, refused, known, other_maps, before, after, version, .. } = report;
     println!(
@@ -251,6 +278,9 @@ fn print(args: &Args, report: &JobReport) {
         Some(version) => println!("{}: version {version}", args.map.display()),
         None if taken.is_empty() => println!("nothing is new: nothing was written"),
         None => println!("nothing was written"),
+    }
+    if args.remove_taken {
+        println!("inbox      {} files removed", report.removed_files.len());
     }
 }
 

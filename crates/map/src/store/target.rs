@@ -27,6 +27,10 @@ use crate::contents::MapContents;
 /// assert_eq!(one.save(&contents)?.version, 2);
 /// let refused = other.save(&contents).unwrap_err();
 /// assert!(matches!(refused, store::StoreError::Changed { .. }), "{refused}");
+///
+/// let mut long_work = store::MapTarget::new(&path, true)?;
+/// assert_eq!(long_work.save_next(&contents)?.version, 3);
+/// assert_eq!(long_work.save_next(&contents)?.version, 4);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -59,6 +63,22 @@ impl MapTarget {
     pub fn save(&self, contents: &MapContents) -> Result<SavedMap, StoreError> {
         contents.validate()?;
         writing::write(&self.path, contents, self.replace, &self.seen, Numbering::Own)
+    }
+
+    /// Writes a map as [`MapTarget::save`] does, in place of the version that this value saved before: work that lasts for long saves what it
+    /// has so far.
+    ///
+    /// # Errors
+    /// As of [`MapTarget::save`].
+    pub fn save_next(&mut self, contents: &MapContents) -> Result<SavedMap, StoreError> {
+        let saved = self.save(contents)?;
+        let seen = Seen::at(&self.path)?;
+        if seen.version() != saved.version {
+            let (seen, found) = (saved.version, seen.version());
+            return Err(StoreError::Changed { path: self.path.clone(), seen, found });
+        }
+        (self.seen, self.replace) = (seen, true);
+        Ok(saved)
     }
 
     /// Writes a copy of a map that has its identity and its versions elsewhere, as of a release: with that identity, and a version
