@@ -28,7 +28,7 @@ const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
 /// times as long as in a whole list.
 const FEW_KEYFRAMES: usize = 8;
 
-/// Keyframes of the whole map that are ranked by their votes, at most.
+/// Keyframes of the whole map that are ranked by their votes, at most, unless more are compared.
 const RANKED: usize = 200;
 
 /// Features that vote for keyframes near a prior, at most: these are few, and the votes only rank them.
@@ -144,7 +144,7 @@ impl LoadedMap {
         }
         let votes = self.index.vote(descriptors, &self.landmarks.observers, self.poses.keyframes.len())?;
         let sufficient = Sufficient { prior: None, enough };
-        let ranked = best_voted(&votes, RANKED, options.min_votes, |_| true);
+        let ranked = best_voted(&votes, RANKED.max(options.candidates), options.min_votes, |_| true);
         let ranking = Ranking { votes: &votes, ranked, near_prior: false };
         let mut place = self.recognize(&ranking, &image, &sufficient, options)?;
         place.candidates.splice(0..0, of_prior);

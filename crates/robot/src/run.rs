@@ -273,7 +273,11 @@ impl<'a> Robot<'a> {
             self.outputs.each(|output| output.reading(&reading));
             self.faults.note(&reading, checked);
         }
-        self.report.skipped_frames += self.events.take_dropped_frames();
+        for frame in self.events.take_dropped_frames() {
+            // They are recorded.
+            self.outputs.each(|output| output.frame(&frame));
+            self.report.skipped_frames += 1;
+        }
         Ok(())
     }
 
@@ -366,9 +370,9 @@ impl<'a> Robot<'a> {
                 }
                 self.report.skipped_frames += 1;
                 let known_ns = frame.stamp_ns.max(estimator.stamp_ns());
-                self.give_status_without_image(Some(
-                    self.events.newest_frame_ns().unwrap_or(known_ns).max(known_ns),
-                ));
+                // What a recording has beyond is not there yet.
+                let newest_ns = self.events.newest_frame_ns().filter(|_| self.is_live);
+                self.give_status_without_image(Some(newest_ns.unwrap_or(known_ns).max(known_ns)));
                 return Ok(());
             }
             Err(error) => return Err(error),

@@ -12,6 +12,8 @@ use std::collections::BTreeMap;
 const WRONG_PLACE_M: f64 = 0.5;
 /// Errors are summed up in windows of so long (s) as well: a corner that is off is a small part of a drive.
 pub(super) const WINDOW_S: f64 = 5.0;
+/// Poses that such a window has, at least.
+const WINDOW_POSES: f64 = 10.0;
 /// Degrees of freedom of a pose.
 const DEGREES: f64 = 6.0;
 
@@ -84,7 +86,7 @@ pub struct ErrorFigures {
     pub nees: Option<f64>,
     /// Number of poses.
     pub poses: usize,
-    /// Root mean square of the distance within each 5 s of the drive in which there are poses (m).
+    /// Root mean square of the distance within each 5 s of the drive with ten poses or more (m).
     pub windows: BTreeMap<u32, f64>,
 }
 
@@ -95,7 +97,7 @@ pub struct ColdFigures {
     pub images: usize,
     /// Those that were localized, in the right place as far as is known.
     pub localized: usize,
-    /// Those of them of which it is not known: where the drive has neither truth nor a pose in the live release.
+    /// Those of them of which it is not known: where the truth has a gap, or without truth the live release gives no pose.
     pub unjudged: usize,
     /// Those that were localized in a wrong place: off by more than 0.5 m and three stated standard deviations.
     pub wrong: usize,
@@ -161,6 +163,7 @@ impl ErrorFigures {
             poses: poses as usize,
             windows: windows
                 .into_iter()
+                .filter(|(_, (_, count))| *count >= WINDOW_POSES)
                 .map(|(window, (sum, count))| (window, (sum / count).sqrt()))
                 .collect(),
         })

@@ -173,12 +173,15 @@ impl Gates {
         refusals.all
     }
 
-    /// Poses beyond what the live map knows cannot be compared with any.
+    /// Without truth, poses beyond what the live map knows cannot be compared with any.
     fn judged(&self, candidate: &DriveFigures, refusals: &mut Refusals) {
+        if candidate.errors.as_ref().is_some_and(|errors| errors.is_to_truth) {
+            return;
+        }
         let judged = candidate.errors.as_ref().map_or(0, |errors| errors.poses);
         if (judged as f64) < self.min_judged * candidate.poses as f64 {
             refusals.add("--min-judged", format!(
-                "{judged} of {} poses can be compared with the truth or with poses in the live map: record the truth, drive where the live map is known as well, \
+                "{judged} of {} poses can be compared with poses in the live map: record the truth, drive where the live map is known as well, \
                  or look at the report and give `--min-judged 0`",
                 candidate.poses
             ));
@@ -212,10 +215,10 @@ impl Gates {
                 candidate.rmse_m, candidate.largest_m, live.rmse_m, live.largest_m
             ));
         }
-        let worse = candidate.windows.iter().map(|(window, rmse_m)| {
-            let of_live = live.windows.get(window).copied().unwrap_or(live.rmse_m);
+        let worse = candidate.windows.iter().filter_map(|(window, rmse_m)| {
+            let of_live = *live.windows.get(window)?;
             let limit_m = (self.max_error_growth * of_live).max(of_live + self.max_disagreement_m);
-            (*window, *rmse_m, of_live, rmse_m - limit_m)
+            Some((*window, *rmse_m, of_live, rmse_m - limit_m))
         });
         let worst = worse.filter(|(.., beyond)| *beyond > 0.0).max_by(|a, b| a.3.total_cmp(&b.3));
         if let Some((window, rmse_m, of_live, _)) = worst {

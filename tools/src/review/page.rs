@@ -125,7 +125,9 @@ fn drive_rows(live: &DriveFigures, candidate: &DriveFigures) -> Vec<[String; 3]>
         both("NEES", &|figures| number(figures.errors.as_ref().and_then(|errors| errors.nees), 2)),
         cold("images localized by themselves", &|cold| format!("{} of {}", cold.localized, cold.images)),
         cold("in a wrong place", &|cold| cold.wrong.to_string()),
-        cold("of a place that neither truth nor the live map tells", &|cold| cold.unjudged.to_string()),
+        cold("of a place that is not known (by the truth, or without one by the live map)", &|cold| {
+            cold.unjudged.to_string()
+        }),
         cold("ambiguous", &|cold| cold.ambiguous.to_string()),
         cold("first pose from cold, s: median, 95 %", &|cold| {
             format!("{:.1}, {:.1}", cold.map_initialization_median_s, cold.map_initialization_p95_s)

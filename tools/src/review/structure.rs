@@ -16,7 +16,9 @@ const UNEXPLAINED: f64 = 27.86;
 /// Smaller motions (m, rad) are no reason to refuse: keyframes that define the frame state next to no uncertainty.
 const SMALL_MOTION_M: f64 = 0.05;
 const SMALL_MOTION_RAD: f64 = 0.01;
-/// A keyframe's motion is compared with that of the nearest keyframe at each of these distances, or beyond (m).
+/// A keyframe's motion is compared with those of so many others, most of which must disagree: one that is wrong itself says nothing of them.
+const NEIGHBOURS: usize = 3;
+/// These are the nearest ones at each of these distances, or beyond (m).
 const NEIGHBOURS_M: [f64; 3] = [1.0, 4.0, 16.0];
 /// Standard deviation of a relative pose beyond what the map states (rad, m): keyframes that share all of their errors state none.
 const RELATIVE_SIGMA_RAD: f64 = 0.002;
@@ -25,7 +27,9 @@ const RELATIVE_SIGMA_M: f64 = 0.01;
 const MOVED_KEYFRAMES: usize = 3;
 /// A keyframe shows what others show where the cosine of the angle between their optical axes is at least this (60 deg).
 const SAME_DIRECTION: f64 = 0.5;
-/// Directions of view by which the keyframes of a place are told apart.
+/// A camera looks up or down where the vertical part of its optical axis is larger.
+const STEEP: f64 = 0.7;
+/// Directions of view to the sides by which the keyframes of a place are told apart.
 const DIRECTIONS: f64 = 4.0;
 
 /// How two versions of a map differ.
@@ -140,9 +144,7 @@ impl Structure {
         let mut places: BTreeMap<([i64; 3], i64), Vec<View>> = BTreeMap::new();
         for keyframe in live.keyframes() {
             let view = View::of(keyframe);
-            let direction =
-                (view.axis.y.atan2(view.axis.x) / std::f64::consts::TAU * DIRECTIONS).floor() as i64;
-            places.entry((cube_of(&view.position), direction)).or_default().push(view);
+            places.entry((cube_of(&view.position), view.direction())).or_default().push(view);
         }
         self.places = places.len();
         // Where what is seen is far away, keyframes that are far apart show the same.
@@ -174,6 +176,14 @@ impl View {
     fn of(keyframe: &Keyframe) -> Self {
         let pose = &keyframe.global_from_keyframe.pose;
         Self { position: pose.translation, axis: pose.rotation * Vector3::z() }
+    }
+
+    /// Number of its direction: one of four to the sides, up, or down.
+    fn direction(&self) -> i64 {
+        if self.axis.z.abs() > STEEP {
+            return if self.axis.z > 0.0 { i64::MAX } else { i64::MIN };
+        }
+        (self.axis.y.atan2(self.axis.x) / std::f64::consts::TAU * DIRECTIONS).floor() as i64
     }
 }
 
@@ -217,17 +227,24 @@ fn is_unexplained_by_neighbours(
     common: &[(KeyframeId, Vector3<f64>)],
 ) -> bool {
     let position = keyframe.global_from_keyframe.pose.translation;
-    let nearest_beyond = |metres: f64| {
-        let apart = common.iter().map(|(id, other)| ((other - position).norm(), *id));
-        apart.filter(|(apart, _)| *apart >= metres).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, id)| id)
-    };
-    let pose_now = |id: KeyframeId| candidate.keyframe(id).map(|keyframe| keyframe.global_from_keyframe.pose);
-    NEIGHBOURS_M.into_iter().filter_map(nearest_beyond).any(|other| {
-        let Some(mut former) = live.relative_pose(other, keyframe.id) else { return false };
+    let own_now = candidate.keyframe(keyframe.id).map(|keyframe| keyframe.global_from_keyframe.pose);
+    let disagrees = |other: KeyframeId| {
+        let (Some(mut former), Some(own_now)) = (live.relative_pose(other, keyframe.id), own_now) else {
+            return false;
+        };
         former.covariance += isotropic_covariance(RELATIVE_SIGMA_RAD, RELATIVE_SIGMA_M);
-        let now =
-            pose_now(other).zip(pose_now(keyframe.id)).map(|(other, own)| other.inverse().compose(&own));
-        now.is_some_and(|now| is_unexplained(&former, &now))
+        let other_now = candidate.keyframe(other).map(|keyframe| keyframe.global_from_keyframe.pose);
+        other_now.is_some_and(|other| is_unexplained(&former, &other.inverse().compose(&own_now)))
+    };
+    let mut by_distance: Vec<(f64, KeyframeId)> =
+        common.iter().map(|(id, other)| ((other - position).norm(), *id)).collect();
+    NEIGHBOURS_M.into_iter().any(|metres| {
+        by_distance.retain(|(apart, _)| *apart >= metres);
+        let last = NEIGHBOURS.min(by_distance.len());
+        if by_distance.len() > last {
+            by_distance.select_nth_unstable_by(last, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        }
+        2 * by_distance[..last].iter().filter(|(_, id)| disagrees(*id)).count() > NEIGHBOURS
     })
 }
 

@@ -27,6 +27,7 @@ type Pixels = Vec<(u64, Vector2<f64>)>;
 /// A rest, and what the image showed when it began.
 #[derive(Clone, Debug)]
 struct Rest {
+    /// Since when no camera began anew to compare, nanoseconds.
     since_ns: i64,
     /// Of each camera, from the first image in which it shows enough of the features that it sees now.
     pixels: BTreeMap<u8, Pixels>,
@@ -69,7 +70,7 @@ impl RestWatch {
 
     fn note_rest(&mut self, now_ns: i64, observations: &[TrackObservation], limit_px: f64) {
         let mut rest = self.rest.take().unwrap_or_else(|| Rest { since_ns: now_ns, pixels: BTreeMap::new() });
-        let is_still = rest.compare(observations, limit_px);
+        let is_still = rest.compare(now_ns, observations, limit_px);
         self.moved_in_a_row = if is_still == Some(false) { self.moved_in_a_row + 1 } else { 0 };
         if self.moved_in_a_row >= MOVED_IMAGES {
             // Another one begins with the next image.
@@ -83,17 +84,20 @@ impl RestWatch {
 
 impl Rest {
     /// Whether the image is the one with which the rest began, as most cameras show; `None` where none has features of then.
-    fn compare(&mut self, observations: &[TrackObservation], limit_px: f64) -> Option<bool> {
+    fn compare(&mut self, now_ns: i64, observations: &[TrackObservation], limit_px: f64) -> Option<bool> {
         let mut seen: BTreeMap<u8, Pixels> = BTreeMap::new();
         for observation in observations {
             let feature = (observation.feature_id, observation.pixel);
             seen.entry(observation.camera).or_default().push(feature);
         }
-        most_are_still(seen.into_iter().map(|(camera, pixels)| self.compare_camera(camera, pixels, limit_px)))
+        most_are_still(
+            seen.into_iter().map(|(camera, pixels)| self.compare_camera(now_ns, camera, pixels, limit_px)),
+        )
     }
 
-    /// The same of one camera. Where too few of its features of then are left, those of now are kept.
-    fn compare_camera(&mut self, camera: u8, mut now: Pixels, limit_px: f64) -> Option<bool> {
+    /// The same of one camera. Where too few of its features of then are left, those of now are kept, and nothing before says that the body
+    /// rests.
+    fn compare_camera(&mut self, now_ns: i64, camera: u8, mut now: Pixels, limit_px: f64) -> Option<bool> {
         let then = self.pixels.entry(camera).or_default();
         let mut pairs = SmallVec::<[PixelPair; 400]>::new();
         for (feature_id, pixel) in &now {
@@ -103,6 +107,9 @@ impl Rest {
         }
         if pairs.len() < MIN_TRACKS {
             now.sort_unstable_by_key(|(id, _)| *id);
+            if now.len() >= MIN_TRACKS {
+                self.since_ns = now_ns;
+            }
             *then = now;
             return None;
         }

@@ -49,7 +49,7 @@ pub(crate) struct SensorQueue<'a> {
     /// Measurements arrive now.
     is_live: bool,
     /// Frames without readings that were dropped for newer ones.
-    dropped_frames: usize,
+    dropped_frames: Vec<Frame>,
     /// The source has ended or failed.
     ended: bool,
     error: Option<SensorError>,
@@ -62,7 +62,17 @@ impl<'a> SensorQueue<'a> {
         let imu = ImuWindow::new(rate_hz);
         let (frames, wheels, gnss) = (VecDeque::new(), VecDeque::new(), VecDeque::new());
         let is_live = source.live().is_some();
-        Self { source, imu, frames, wheels, gnss, is_live, dropped_frames: 0, ended: false, error: None }
+        Self {
+            source,
+            imu,
+            frames,
+            wheels,
+            gnss,
+            is_live,
+            dropped_frames: Vec::new(),
+            ended: false,
+            error: None,
+        }
     }
 
     /// What the source says of itself, if it is live.
@@ -115,8 +125,7 @@ impl<'a> SensorQueue<'a> {
             if self.frames.back().is_some_and(|newest| newest.stamp_ns > horizon_ns) {
                 if self.is_live {
                     let late = self.frames.len() - 1;
-                    self.frames.drain(..late);
-                    self.dropped_frames += late;
+                    self.dropped_frames.extend(self.frames.drain(..late));
                 }
                 break;
             }
@@ -136,7 +145,7 @@ impl<'a> SensorQueue<'a> {
     }
 
     /// How many frames were dropped since the last call, as there were no readings for them.
-    pub(crate) fn take_dropped_frames(&mut self) -> usize {
+    pub(crate) fn take_dropped_frames(&mut self) -> Vec<Frame> {
         std::mem::take(&mut self.dropped_frames)
     }
 
