@@ -56,7 +56,7 @@ impl ExistenceModel {
     ///
     /// # Arguments
     /// * `times_ns`: when it was seen last, the time before, and that of the odds, after it.
-    pub(crate) fn in_between(&self, [seen_ns, then_ns, stated_ns]: [i64; 3]) -> ThereThen {
+    pub(crate) fn in_between(self, [seen_ns, then_ns, stated_ns]: [i64; 3]) -> ThereThen {
         let other = |elapsed_ns: i64| {
             -(-std::f64::consts::LN_2 * elapsed_ns as f64 / self.half_life_ns).exp_m1() * (1.0 - STATIONARY)
         };

@@ -48,7 +48,7 @@ pub(crate) fn update_existence(
         let landmark = &contents.landmarks[sighting.landmark];
         let of = stated.get(&landmark.id).copied().unwrap_or_else(|| assumed.of_landmark(landmark));
         let was_known = assumed.first_ns(landmark).is_some_and(|first_ns| first_ns <= stamp_ns);
-        Before::new(of, was_known, stamp_ns, drive, &model)
+        Before::new(of, was_known, stamp_ns, drive, model)
     };
     let expected: Vec<Shown> = sightings
         .iter()
@@ -103,7 +103,7 @@ impl Before {
         was_known: bool,
         stamp_ns: i64,
         drive: &Drive,
-        model: &ExistenceModel,
+        model: ExistenceModel,
     ) -> Before {
         let is_late = of.stamp_ns > stamp_ns;
         let was_seen_since = is_late && of.seen_ns > stamp_ns;

@@ -49,7 +49,9 @@ mod tests {
         std::fs::create_dir_all(inbox.join("ada")).unwrap();
         let named = ["inbox/ada/taken.session", "elsewhere.session", "inbox/../elsewhere.session"];
         let files = named.map(|name| folder.path().join(name));
-        files.iter().for_each(|file| std::fs::write(file, "").unwrap());
+        for file in &files {
+            std::fs::write(file, "").unwrap();
+        }
         std::fs::write(inbox.join("ada/refused.session"), "").unwrap();
         let known = |file: &PathBuf| PassedSession { file: file.clone(), id: SessionId::from_bytes([1; 16]) };
         let report = JobReport { known: files.iter().map(known).collect(), ..JobReport::default() };
