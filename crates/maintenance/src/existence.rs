@@ -123,7 +123,7 @@ mod tests {
     const RATES: [f64; 2] = [0.7, 0.03];
 
     /// The odds after evidence in the order of time, of a landmark that was there on day 0.
-    fn in_order(model: &ExistenceModel, shown: &[(i64, bool)]) -> f64 {
+    fn in_order(model: ExistenceModel, shown: &[(i64, bool)]) -> f64 {
         let mut state = (MAX_LOG_ODDS, 0);
         for &(day, seen) in shown {
             let before = model.predicted(state.0, (day - state.1) * DAY_NS);
@@ -137,8 +137,8 @@ mod tests {
         let model = ExistenceModel::new(90.0 * DAY_NS as f64);
         for (late, last) in [(3, 10), (9, 10), (20, 200), (190, 200)] {
             for [seen_late, seen_last] in [[true, false], [false, false]] {
-                let exact = in_order(&model, &[(late, seen_late), (last, seen_last)]);
-                let before = in_order(&model, &[(last, seen_last)]);
+                let exact = in_order(model, &[(late, seen_late), (last, seen_last)]);
+                let before = in_order(model, &[(last, seen_last)]);
                 let then = model.in_between([0, late * DAY_NS, last * DAY_NS]);
                 let found = then.updated(before, seen_late, RATES[0], RATES[1]);
                 assert!((found - exact).abs() < 1e-3, "{late} {last} {seen_late}: {found}, {exact}");
