@@ -137,7 +137,7 @@ fn a_map_is_restored_to_the_bit() {
             .iter()
             .map(|id| KeyframeAliases {
                 keyframe: *id,
-                places: keyframes.iter().filter(|other| *other != id).map(alias).collect(),
+                places: keyframes.iter().filter(|other| *other != id).copied().map(alias).collect(),
             })
             .collect();
         before.images =
@@ -171,8 +171,8 @@ fn a_map_is_restored_to_the_bit() {
     }
 }
 
-fn alias(keyframe: &KeyframeId) -> Alias {
-    Alias { keyframe: *keyframe, log_odds: 1.5 }
+fn alias(keyframe: KeyframeId) -> Alias {
+    Alias { keyframe, log_odds: 1.5 }
 }
 
 #[test]
