@@ -11,7 +11,6 @@ use super::zero_velocity::{MIN_TRACKS, PixelPair, Shown, is_still};
 use crate::camera_vote::most_are_still;
 use nalgebra::Vector2;
 use smallvec::SmallVec;
-use std::collections::BTreeMap;
 use types::TrackObservation;
 
 /// Factor on the standard deviation of a displacement of a body that may creep: updates of half a minute count as one.
@@ -21,22 +20,48 @@ const PROOF_NS: i64 = 5_000_000_000;
 /// Images one after the other that must have moved: the noise of a single one is no motion.
 const MOVED_IMAGES: usize = 3;
 
-/// Pixels of the features that one camera saw, sorted by feature.
+/// Features of a camera for which there is memory from the begin.
+const USUAL_FEATURES: usize = 512;
+
+/// Pixels of the features that one camera saw.
 type Pixels = Vec<(u64, Vector2<f64>)>;
 
-/// A rest, and what the image showed when it began.
+/// What one camera showed.
 #[derive(Clone, Debug)]
-struct Rest {
-    /// Since when no camera began anew to compare, nanoseconds.
-    since_ns: i64,
-    /// Of each camera, from the first image in which it shows enough of the features that it sees now.
-    pixels: BTreeMap<u8, Pixels>,
+struct CameraPixels {
+    camera: u8,
+    /// In the first image of the rest in which it showed enough of the features that it sees now; empty before.
+    then: Pixels,
+    /// In the newest image.
+    now: Pixels,
+}
+
+impl CameraPixels {
+    /// Whether the image is the one with which the rest began; `None` where too few features of then are left: those of now are kept, and
+    /// nothing before says that the body rests.
+    fn compare(&mut self, limit_px: f64) -> Option<bool> {
+        let mut pairs = SmallVec::<[PixelPair; 400]>::new();
+        for (feature_id, pixel) in &self.now {
+            if let Ok(index) = self.then.binary_search_by_key(feature_id, |(id, _)| *id) {
+                pairs.push(PixelPair { then: self.then[index].1, now: *pixel });
+            }
+        }
+        if pairs.len() < MIN_TRACKS {
+            std::mem::swap(&mut self.then, &mut self.now);
+            self.then.sort_unstable_by_key(|(id, _)| *id);
+            return None;
+        }
+        Some(is_still(&pairs, limit_px))
+    }
 }
 
 /// The watch over the rests of a body.
 #[derive(Clone, Debug, Default)]
 pub struct RestWatch {
-    rest: Option<Rest>,
+    /// Since when no camera began anew to compare, nanoseconds; `None` in motion.
+    since_ns: Option<i64>,
+    /// Of each camera that was seen; their memory is kept.
+    cameras: Vec<CameraPixels>,
     /// It moved while it seemed to rest.
     is_doubted: bool,
     moved_in_a_row: usize,
@@ -59,61 +84,68 @@ impl RestWatch {
         observations: &[TrackObservation],
         limit_px: f64,
     ) -> f64 {
+        self.keep(observations);
         match shown {
-            Shown::Motion { is_clear: true } => *self = Self::default(),
-            Shown::Motion { is_clear: false } => self.is_doubted |= self.rest.take().is_some(),
-            Shown::Turn | Shown::Nothing => self.rest = None,
-            Shown::Rest => self.note_rest(now_ns, observations, limit_px),
+            Shown::Motion { is_clear: true } => {
+                self.end();
+                (self.is_doubted, self.moved_in_a_row) = (false, 0);
+            }
+            Shown::Motion { is_clear: false } => self.is_doubted |= self.end(),
+            Shown::Turn | Shown::Nothing => _ = self.end(),
+            Shown::Rest => self.note_rest(now_ns, limit_px),
         }
         if self.is_doubted { DOUBTED_SIGMAS } else { 1.0 }
     }
 
-    fn note_rest(&mut self, now_ns: i64, observations: &[TrackObservation], limit_px: f64) {
-        let mut rest = self.rest.take().unwrap_or_else(|| Rest { since_ns: now_ns, pixels: BTreeMap::new() });
-        let is_still = rest.compare(now_ns, observations, limit_px);
+    /// Keeps the pixels of the newest image.
+    fn keep(&mut self, observations: &[TrackObservation]) {
+        for of in &mut self.cameras {
+            of.now.clear();
+        }
+        for observation in observations {
+            let feature = (observation.feature_id, observation.pixel);
+            match self.cameras.iter_mut().find(|of| of.camera == observation.camera) {
+                Some(of) => of.now.push(feature),
+                None => {
+                    let [then, mut now] = [(); 2].map(|()| Vec::with_capacity(USUAL_FEATURES));
+                    now.push(feature);
+                    self.cameras.push(CameraPixels { camera: observation.camera, then, now });
+                }
+            }
+        }
+    }
+
+    /// Ends a rest.
+    ///
+    /// # Returns
+    /// Whether there was one.
+    fn end(&mut self) -> bool {
+        for of in &mut self.cameras {
+            of.then.clear();
+        }
+        self.since_ns.take().is_some()
+    }
+
+    fn note_rest(&mut self, now_ns: i64, limit_px: f64) {
+        let mut since_ns = self.since_ns.unwrap_or(now_ns);
+        let compared = self.cameras.iter_mut().map(|of| {
+            let can_be_compared = of.now.len() >= MIN_TRACKS;
+            let is_still = of.compare(limit_px);
+            if is_still.is_none() && can_be_compared {
+                since_ns = now_ns;
+            }
+            is_still
+        });
+        let is_still = most_are_still(compared);
         self.moved_in_a_row = if is_still == Some(false) { self.moved_in_a_row + 1 } else { 0 };
         if self.moved_in_a_row >= MOVED_IMAGES {
             // Another one begins with the next image.
+            self.end();
             (self.is_doubted, self.moved_in_a_row) = (true, 0);
             return;
         }
-        self.is_doubted &= now_ns - rest.since_ns < PROOF_NS;
-        self.rest = Some(rest);
-    }
-}
-
-impl Rest {
-    /// Whether the image is the one with which the rest began, as most cameras show; `None` where none has features of then.
-    fn compare(&mut self, now_ns: i64, observations: &[TrackObservation], limit_px: f64) -> Option<bool> {
-        let mut seen: BTreeMap<u8, Pixels> = BTreeMap::new();
-        for observation in observations {
-            let feature = (observation.feature_id, observation.pixel);
-            seen.entry(observation.camera).or_default().push(feature);
-        }
-        most_are_still(
-            seen.into_iter().map(|(camera, pixels)| self.compare_camera(now_ns, camera, pixels, limit_px)),
-        )
-    }
-
-    /// The same of one camera. Where too few of its features of then are left, those of now are kept, and nothing before says that the body
-    /// rests.
-    fn compare_camera(&mut self, now_ns: i64, camera: u8, mut now: Pixels, limit_px: f64) -> Option<bool> {
-        let then = self.pixels.entry(camera).or_default();
-        let mut pairs = SmallVec::<[PixelPair; 400]>::new();
-        for (feature_id, pixel) in &now {
-            if let Ok(index) = then.binary_search_by_key(feature_id, |(id, _)| *id) {
-                pairs.push(PixelPair { then: then[index].1, now: *pixel });
-            }
-        }
-        if pairs.len() < MIN_TRACKS {
-            now.sort_unstable_by_key(|(id, _)| *id);
-            if now.len() >= MIN_TRACKS {
-                self.since_ns = now_ns;
-            }
-            *then = now;
-            return None;
-        }
-        Some(is_still(&pairs, limit_px))
+        self.is_doubted &= now_ns - since_ns < PROOF_NS;
+        self.since_ns = Some(since_ns);
     }
 }
 
