@@ -104,13 +104,12 @@ impl RestWatch {
         }
         for observation in observations {
             let feature = (observation.feature_id, observation.pixel);
-            match self.cameras.iter_mut().find(|of| of.camera == observation.camera) {
-                Some(of) => of.now.push(feature),
-                None => {
-                    let [then, mut now] = [(); 2].map(|()| Vec::with_capacity(USUAL_FEATURES));
-                    now.push(feature);
-                    self.cameras.push(CameraPixels { camera: observation.camera, then, now });
-                }
+            if let Some(of) = self.cameras.iter_mut().find(|of| of.camera == observation.camera) {
+                of.now.push(feature);
+            } else {
+                let [then, mut now] = [(); 2].map(|()| Vec::with_capacity(USUAL_FEATURES));
+                now.push(feature);
+                self.cameras.push(CameraPixels { camera: observation.camera, then, now });
             }
         }
     }
