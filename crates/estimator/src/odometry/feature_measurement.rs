@@ -26,6 +26,9 @@ use crate::state::ActiveState;
 use nalgebra::{Cholesky, DVector, Matrix2x3, Matrix3, Vector3};
 use std::ops::Range;
 
+/// Pixels of a track for whose NIS there is memory from the first image on: those of two cameras in a usual window.
+const LEAST_RESERVED: usize = 64;
+
 /// The linearized pixels of one landmark, with reused memory.
 #[derive(Clone, Debug, Default)]
 pub struct FeatureMeasurement {
@@ -67,7 +70,7 @@ impl FeatureMeasurement {
     pub fn reserve(&mut self, pixels: usize) {
         let GateMemory { innovation, right_sides, blocks, factorization, most_pixels } = &mut self.gate;
         if pixels > *most_pixels {
-            let pixels = pixels.next_power_of_two();
+            let pixels = pixels.next_power_of_two().max(LEAST_RESERVED);
             *most_pixels = pixels;
             *innovation = Dense::identity(2 * pixels);
             right_sides.reset(2 * pixels, 4);
