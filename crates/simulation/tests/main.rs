@@ -55,6 +55,5 @@ mod map_consistency;
 mod odometry_consistency;
 mod rendered_flights;
 mod rescue;
-mod rest_consistency;
 mod rolling_shutter_consistency;
 mod wheel_consistency;

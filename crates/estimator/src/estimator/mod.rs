@@ -38,7 +38,6 @@ use crate::map_update::repeated_views::RepeatedViews;
 use crate::motion::AngularRate;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
-use crate::odometry::rest::RestWatch;
 use crate::odometry::tracks::TrackStore;
 use crate::odometry::{second_order, slam_update};
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
@@ -152,7 +151,6 @@ pub struct Estimator {
     /// Whether the position in G has been known well enough once since its initialization.
     known_in_map: bool,
     last_zero_velocity_ns: Option<i64>,
-    rest: RestWatch,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
     health: Health,
@@ -242,7 +240,6 @@ impl Estimator {
             last_map_update_ns: None,
             last_gnss_update_ns: None,
             last_zero_velocity_ns: None,
-            rest: RestWatch::default(),
             known_in_map: false,
             lost_after: None,
             health,

@@ -8,7 +8,7 @@ use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
 use crate::odometry::slam_update::{self, SlamUpdate, SlamUpdateSettings};
 use crate::odometry::tracks::{ShownCameras, Track};
-use crate::odometry::zero_velocity::{self, Shown};
+use crate::odometry::zero_velocity;
 use crate::state::{ActiveState, CloneId, FEATURE_DIM, SlamFeature};
 use nalgebra::{DMatrix, Vector3};
 use types::TrackObservation;
@@ -113,8 +113,7 @@ impl Estimator {
         let in_state = features.len();
         let is_slam_feature = |id: u64| features.iter().any(|feature| feature.feature_id == id);
         self.tracks.add(newest, observations, is_slam_feature);
-        self.msckf_settings.stationary =
-            self.zero_velocity_update(observations, &mut update.zero_velocity)?;
+        self.msckf_settings.stationary = self.zero_velocity_update(&mut update.zero_velocity)?;
         self.tracks.take_ended(newest, &ShownCameras::of(observations), &mut update.finished);
         for index in clones_beyond_window(&self.state, self.config.window) {
             self.tracks.take_starting_at(self.state.clones[index].id, &mut update.finished);
@@ -176,21 +175,11 @@ impl Estimator {
 
     /// Whether the tracks show a stationary body and the gate accepts it; a zero-velocity update then, if the last one is as
     /// old as the images that show it.
-    fn zero_velocity_update(
-        &mut self,
-        observations: &[TrackObservation],
-        rows: &mut LinearizedMeasurement,
-    ) -> Result<bool, EstimatorError> {
-        if !self.config.zero_velocity {
-            return Ok(false);
-        }
+    fn zero_velocity_update(&mut self, rows: &mut LinearizedMeasurement) -> Result<bool, EstimatorError> {
         let span_ns = zero_velocity::span_ns(&self.state, self.config.window);
-        let sigma_px = self.msckf_settings.sigma_px;
-        let shown = zero_velocity::shown(&self.state, &self.tracks, sigma_px, span_ns);
-        let limit_px = zero_velocity::MAX_DISPLACEMENT * sigma_px;
-        let sigmas = self.rest.note(self.state.stamp_ns, shown, observations, limit_px);
-        let stationary = matches!(shown, Shown::Rest | Shown::Turn);
-        if !stationary || !zero_velocity::zero_displacement(&self.state, span_ns, sigmas, rows) {
+        let stationary = self.config.zero_velocity
+            && zero_velocity::is_stationary(&self.state, &self.tracks, self.msckf_settings.sigma_px, span_ns);
+        if !stationary || !zero_velocity::zero_displacement(&self.state, span_ns, rows) {
             return Ok(false);
         }
         let plausible = self.frame_gate.accepts(self.covariance.nis(rows)?, rows.residual.len());

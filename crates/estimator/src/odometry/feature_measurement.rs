@@ -26,9 +26,6 @@ use crate::state::ActiveState;
 use nalgebra::{Cholesky, DVector, Matrix2x3, Matrix3, Vector3};
 use std::ops::Range;
 
-/// Pixels of a track for whose NIS there is memory from the first image on: those of two cameras in a usual window.
-const LEAST_RESERVED: usize = 64;
-
 /// The linearized pixels of one landmark, with reused memory.
 #[derive(Clone, Debug, Default)]
 pub struct FeatureMeasurement {
@@ -53,8 +50,6 @@ struct GateMemory {
     innovation: Dense,
     right_sides: Dense,
     factorization: Factorization,
-    /// Most pixels of a track so far.
-    most_pixels: usize,
 }
 
 /// The landmark block of the normal equations.
@@ -66,21 +61,6 @@ struct LandmarkBlock {
 }
 
 impl FeatureMeasurement {
-    /// Takes the memory for the NIS of a track of so many pixels: few are computed exactly, and the longest of them may come late.
-    pub fn reserve(&mut self, pixels: usize) {
-        let GateMemory { innovation, right_sides, blocks, factorization, most_pixels } = &mut self.gate;
-        if pixels > *most_pixels {
-            let pixels = pixels.next_power_of_two().max(LEAST_RESERVED);
-            *most_pixels = pixels;
-            *innovation = Dense::identity(2 * pixels);
-            right_sides.reset(2 * pixels, 4);
-            blocks.clear();
-            blocks.reserve(pixels);
-            // The identity has a Cholesky factor.
-            let _ = factorization.cholesky(innovation);
-        }
-    }
-
     /// Number of rows after the elimination of the landmark.
     pub fn free_rows(&self) -> usize {
         // A prior of the distance is one more row.
@@ -132,7 +112,7 @@ impl FeatureMeasurement {
             return Ok(bound);
         }
         let count = 2 * self.pixels.len();
-        let GateMemory { innovation, right_sides, blocks, factorization, .. } = &mut self.gate;
+        let GateMemory { innovation, right_sides, blocks, factorization } = &mut self.gate;
         innovation.reset(count, count);
         right_sides.reset(count, 4);
         blocks.clear();

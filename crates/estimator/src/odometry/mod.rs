@@ -5,7 +5,6 @@ pub mod feature_measurement;
 mod landmark_basis;
 pub mod msckf_update;
 pub mod pixel_measurement;
-pub mod rest;
 pub mod second_order;
 pub mod slam_update;
 mod track_triangulation;

@@ -22,7 +22,6 @@ use crate::odometry::track_triangulation::{
 use crate::odometry::tracks::{CloneObservation, Track};
 use crate::state::{ActiveState, Block, CloneId};
 use nalgebra::{DVector, Matrix2x3, Matrix2x6, Vector2, Vector3};
-use smallvec::SmallVec;
 
 /// Result of the odometry update of one image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -131,11 +130,7 @@ impl MsckfUpdate {
         let sigma_px = settings.sigma_px.hypot(NONLINEAR_FRACTION * calibration_error);
         // Long tracks have most information; the feature makes the order unique.
         tracks.sort_unstable_by_key(|track| (std::cmp::Reverse(track.observations.len()), track.feature_id));
-        self.feature.reserve(tracks.first().map_or(0, |longest| longest.observations.len()));
         let mut observations = std::mem::take(&mut self.observations);
-        // At rest the same pixels are seen again, without the noise that motion has.
-        let samples = if settings.learns_noise && !settings.stationary { settings.max_tracks } else { 0 };
-        let sampled = sampled_features(tracks, samples);
         for track in tracks.iter().filter(|track| track.clones() >= MIN_CLONES) {
             if report.used >= settings.max_tracks {
                 report.left_out += 1;
@@ -174,7 +169,7 @@ impl MsckfUpdate {
             }
             let bound = settings.gate.bound(self.feature.free_rows());
             // The exact NIS, where the noise is adapted to it.
-            let is_noted = sampled.contains(&track.feature_id);
+            let is_noted = settings.learns_noise && self.nis_per_row.len() < TRACKS_PER_IMAGE;
             let enough = if is_noted { 0.0 } else { bound };
             let nis = self.feature.nis(state, covariance.active(), &layout, enough);
             if let (true, Ok(nis)) = (is_noted, &nis) {
@@ -229,25 +224,6 @@ impl MsckfUpdate {
         }
         self.feature.pixels.len() >= 2
     }
-}
-
-/// The tracks whose NIS is noted, of those that are used for certain: by the bits of their identities, whatever their length. A track
-/// that lives for long does so because its pixels are better than those of the others.
-fn sampled_features(tracks: &[Track], max_tracks: usize) -> SmallVec<[u64; TRACKS_PER_IMAGE + 1]> {
-    let mut sampled = SmallVec::<[(u64, u64); TRACKS_PER_IMAGE + 1]>::new();
-    for track in tracks.iter().filter(|track| track.clones() >= MIN_CLONES).take(max_tracks) {
-        let drawn = (scattered(track.feature_id), track.feature_id);
-        sampled.insert(sampled.partition_point(|other| *other < drawn), drawn);
-        sampled.truncate(TRACKS_PER_IMAGE);
-    }
-    sampled.into_iter().map(|(_, feature_id)| feature_id).collect()
-}
-
-/// A number that depends on all bits of another one (the finalizer of SplitMix64).
-fn scattered(number: u64) -> u64 {
-    let number = (number ^ (number >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let number = (number ^ (number >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    number ^ (number >> 31)
 }
 
 /// Pixel error that the uncertain calibration may cause (three sigmas), px.
@@ -330,7 +306,6 @@ mod tests {
         let mut update = MsckfUpdate::default();
         let report = update.collect(&scene.state, None, &covariance, &mut tracks, &settings(), |_| true);
         assert_eq!((report.used, report.not_triangulated, update.new_features.len()), (1, 1, 1));
-        assert_eq!(update.nis_per_row.len(), 1);
         assert_eq!(update.information.rows, 2 * 8 - 3);
 
         let few = MsckfSettings { max_tracks: 1, ..settings() };
@@ -338,32 +313,6 @@ mod tests {
             [3, 2].map(|feature_id| Track { feature_id, observations: scene.observations.clone() });
         let report = update.collect(&scene.state, None, &covariance, &mut tracks, &few, |_| false);
         assert_eq!((report.used, report.left_out, update.new_features.len()), (1, 1, 0));
-    }
-
-    #[test]
-    fn the_tracks_whose_noise_is_noted_are_of_all_lengths() {
-        let observations = scene(false).observations;
-        let track = |feature_id: u64, clones: usize| Track {
-            feature_id,
-            observations: observations[..clones].to_vec(),
-        };
-        let most = observations.len();
-        // One in four lives as long as the window.
-        let length = |feature_id: u64| if feature_id.is_multiple_of(4) { most } else { MIN_CLONES };
-        let (mut long, mut all) = (0, 0);
-        for image in 0..100 {
-            let mut tracks: Vec<Track> =
-                (0..40).map(|k| 40 * image + k).map(|id| track(id, length(id))).collect();
-            tracks.sort_by_key(|track| std::cmp::Reverse(track.observations.len()));
-            let sampled = sampled_features(&tracks, 100);
-            assert_eq!(sampled.len(), TRACKS_PER_IMAGE);
-            assert!(
-                sampled_features(&tracks[..2], 100).len() == 2 && sampled_features(&tracks, 1).len() == 1
-            );
-            long += sampled.iter().filter(|id| id.is_multiple_of(4)).count();
-            all += sampled.len();
-        }
-        assert!((all / 8..all / 2).contains(&long), "{long} of {all} are long");
     }
 
     #[test]
@@ -436,7 +385,6 @@ mod tests {
         let at_rest = MsckfSettings { stationary: true, ..settings() };
         let report = update.collect(&scene.state, None, &covariance, &mut tracks, &at_rest, |_| true);
         assert_eq!((report.used, report.not_triangulated), (pixels.len(), 0));
-        assert!(update.nis_per_row.is_empty(), "nothing is learned of the noise at rest");
 
         let information = &mut update.information.matrix;
         information.mirror_lower();

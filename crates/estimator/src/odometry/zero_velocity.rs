@@ -14,7 +14,6 @@
 //! * The estimated displacement must pass a chi-square test.
 //! * Images within half a second show the same lack of motion, so the update is made once in that time.
 //! * What a pixel does not show is stated as uncertain: of points twenty metres away, a shift of a third of a pixel is centimetres.
-//! * A body that creeps shows each time as little: [`rest`](super::rest) compares with the image with which the rest began.
 //! * A window of images at a high rate is shorter than half a second. It shows less, and that is used.
 
 use crate::calibration::CalibratedCamera;
@@ -31,16 +30,14 @@ const MIN_SPAN_NS: i64 = 450_000_000;
 /// Part of the window between both pixels of a pair where it is not: times of images jitter.
 const PART_OF_WINDOW: f64 = 0.9;
 /// Minimum number of tracks.
-pub(super) const MIN_TRACKS: usize = 12;
+const MIN_TRACKS: usize = 12;
 /// Maximum median displacement in units of the pixel noise. Noise alone gives 1.66: both pixels of a pair
 /// have it, and the median of a squared length in two dimensions is 1.39 variances.
-pub const MAX_DISPLACEMENT: f64 = 2.0;
+const MAX_DISPLACEMENT: f64 = 2.0;
 /// Maximum median shift and expansion of the image in standard deviations of a median.
 const MAX_SHIFT_SIGMAS: f64 = 4.0;
 /// Shift and expansion that count as none, px: trackers drift by a tenth of a pixel. Of a point five metres away it is 3 mm.
 const NEGLIGIBLE_SHIFT_PX: f64 = 0.3;
-/// Shift in half a second beyond which a body does not creep but drive, px.
-const CLEAR_SHIFT_PX: f64 = 2.0;
 /// Standard deviation of a median of normal values, in units of theirs divided by the root of their number.
 const MEDIAN_SIGMA: f64 = 1.2533;
 /// Standard deviation of normal values in units of their median absolute deviation.
@@ -60,36 +57,9 @@ type Values = SmallVec<[f64; 400]>;
 
 /// Pixels of a track then and now, px.
 #[derive(Clone, Copy)]
-pub(super) struct PixelPair {
-    pub(super) then: Vector2<f64>,
-    pub(super) now: Vector2<f64>,
-}
-
-/// What the tracks show of the motion of the body.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shown {
-    /// They are too few.
-    Nothing,
-    /// It moves, or may move.
-    Motion {
-        /// By more than a body that creeps.
-        is_clear: bool,
-    },
-    /// It rests.
-    Rest,
-    /// It turns in place.
-    Turn,
-}
-
-impl Shown {
-    /// Whether the body does not change its position; `None` where nothing tells.
-    fn is_still(self) -> Option<bool> {
-        match self {
-            Self::Nothing => None,
-            Self::Motion { .. } => Some(false),
-            Self::Rest | Self::Turn => Some(true),
-        }
-    }
+struct PixelPair {
+    then: Vector2<f64>,
+    now: Vector2<f64>,
 }
 
 /// Time between both pixels of a pair, nanoseconds: half a second, or most of a window that is shorter.
@@ -103,35 +73,25 @@ pub fn span_ns(state: &ActiveState, window: usize) -> i64 {
     MIN_SPAN_NS.min((PART_OF_WINDOW * between_two * window as f64) as i64)
 }
 
-/// What the tracks of the newest image show of the motion since the images before `span_ns`, by most of the cameras (of
+/// Whether the tracks of the newest image show that the body has not moved since the images before `span_ns`, by most of the cameras (of
 /// a stereo pair the first one) that see enough.
 ///
 /// # Arguments
 /// * `sigma_px`: noise of tracked pixels, px.
-pub fn shown(state: &ActiveState, tracks: &TrackStore, sigma_px: f64, span_ns: i64) -> Shown {
+pub fn is_stationary(state: &ActiveState, tracks: &TrackStore, sigma_px: f64, span_ns: i64) -> bool {
     let cameras = state.calibration.cameras.iter().enumerate();
-    let by_cameras: SmallVec<[Shown; 8]> =
-        cameras.map(|camera| shown_in(state, tracks, camera, sigma_px, span_ns)).collect();
-    let is_clear = |shown: &Shown| shown.is_still().map(|_| *shown != Shown::Motion { is_clear: true });
-    match most_are_still(by_cameras.iter().map(|shown| shown.is_still())) {
-        None => Shown::Nothing,
-        Some(false) => {
-            Shown::Motion { is_clear: most_are_still(by_cameras.iter().map(is_clear)) == Some(false) }
-        }
-        Some(true) if by_cameras.contains(&Shown::Turn) => Shown::Turn,
-        Some(true) => Shown::Rest,
-    }
+    most_are_still(cameras.map(|camera| is_still_in(state, tracks, camera, sigma_px, span_ns))) == Some(true)
 }
 
-/// What the tracks of one camera show.
-fn shown_in(
+/// Whether the tracks of a camera show that; `None` where they are too few.
+fn is_still_in(
     state: &ActiveState,
     tracks: &TrackStore,
     (camera, calibrated): (usize, &CalibratedCamera),
     sigma_px: f64,
     span_ns: i64,
-) -> Shown {
-    let Some(newest) = state.clones.last() else { return Shown::Nothing };
+) -> Option<bool> {
+    let newest = state.clones.last()?;
     let now = newest.local_from_imu * calibrated.imu_from_camera;
     let mut pairs = SmallVec::<[PixelPair; 400]>::new();
     let mut compensated = SmallVec::<[PixelPair; 400]>::new();
@@ -150,43 +110,32 @@ fn shown_in(
         }
     }
     if pairs.len() < MIN_TRACKS {
-        return Shown::Nothing;
+        return None;
     }
     let limit = MAX_DISPLACEMENT * sigma_px;
-    if is_still(&pairs, limit) {
-        return Shown::Rest;
-    }
-    if 2 * turned.len() > pairs.len() && median(&mut turned) > limit && is_still(&compensated, limit) {
-        return Shown::Turn;
-    }
-    let largest_px = shifts(&pairs).into_iter().map(|mut shift| median(&mut shift).abs()).fold(0.0, f64::max);
-    Shown::Motion { is_clear: largest_px > CLEAR_SHIFT_PX }
+    let mut turned_still =
+        || 2 * turned.len() > pairs.len() && median(&mut turned) > limit && is_still(&compensated, limit);
+    Some(is_still(&pairs, limit) || turned_still())
 }
 
 /// Whether an image neither moves nor expands.
 ///
 /// # Arguments
 /// * `limit_px`: maximum median displacement of a pixel, px.
-pub(super) fn is_still(pairs: &[PixelPair], limit_px: f64) -> bool {
+fn is_still(pairs: &[PixelPair], limit_px: f64) -> bool {
     if pairs.len() < MIN_TRACKS {
         return false;
     }
+    let centre = pairs.iter().map(|pair| pair.then).sum::<Vector2<f64>>() / pairs.len() as f64;
     let mut lengths: Values = pairs.iter().map(|pair| (pair.now - pair.then).norm()).collect();
-    median(&mut lengths) < limit_px && shifts(pairs).into_iter().all(is_negligible)
-}
-
-/// How each pixel moved, px: along both axes of the image, and away from the centre of the pixels.
-fn shifts(pairs: &[PixelPair]) -> [Values; 3] {
-    let centre = pairs.iter().map(|pair| pair.then).sum::<Vector2<f64>>() / pairs.len().max(1) as f64;
-    let of = |value: &dyn Fn(&PixelPair) -> f64| pairs.iter().map(value).collect();
-    [
-        of(&|pair| pair.now.x - pair.then.x),
-        of(&|pair| pair.now.y - pair.then.y),
-        of(&|pair| {
+    let of = |value: &dyn Fn(&PixelPair) -> f64| is_negligible(pairs.iter().map(value).collect());
+    median(&mut lengths) < limit_px
+        && of(&|pair| pair.now.x - pair.then.x)
+        && of(&|pair| pair.now.y - pair.then.y)
+        && of(&|pair| {
             let away = pair.then - centre;
             away.dot(&(pair.now - pair.then)) / away.norm().max(1.0)
-        }),
-    ]
+        })
 }
 
 /// Whether the median of displacements is zero as far as their spread lets one tell.
@@ -233,15 +182,7 @@ fn sigma_displacement_m(state: &ActiveState) -> f64 {
 }
 
 /// The whitened measurement that the newest clone is where the one before `span_ns` was, into `rows`; `false` without one.
-///
-/// # Arguments
-/// * `sigmas`: factor on its standard deviation.
-pub fn zero_displacement(
-    state: &ActiveState,
-    span_ns: i64,
-    sigmas: f64,
-    rows: &mut LinearizedMeasurement,
-) -> bool {
+pub fn zero_displacement(state: &ActiveState, span_ns: i64, rows: &mut LinearizedMeasurement) -> bool {
     let Some(newest) = state.clones.last() else { return false };
     let is_older = |clone: &ClonedPose| newest.stamp_ns - clone.stamp_ns >= span_ns;
     let Some(before) = state.clones.iter().rposition(is_older) else { return false };
@@ -254,7 +195,7 @@ pub fn zero_displacement(
     rows.blocks.active.extend([position(before), position(state.clones.len() - 1)]);
     rows.upper_triangular = false;
     rows.jacobian.reset(3, 6);
-    let sigma = sigmas * sigma_displacement_m(state);
+    let sigma = sigma_displacement_m(state);
     for k in 0..3 {
         rows.jacobian[(k, k)] = -1.0 / sigma;
         rows.jacobian[(k, 3 + k)] = 1.0 / sigma;
@@ -344,7 +285,7 @@ mod tests {
             slam_features: Vec::new(),
             clones,
         };
-        shown(&state, &tracks, 1.0, MIN_SPAN_NS).is_still() == Some(true)
+        is_stationary(&state, &tracks, 1.0, MIN_SPAN_NS)
     }
 
     #[test]
@@ -423,14 +364,11 @@ mod tests {
         let mut scene = crate::test_scene::scene(false);
         scene.state.slam_features.clear();
         let mut rows = LinearizedMeasurement::default();
-        assert!(
-            !zero_displacement(&scene.state, MIN_SPAN_NS, 1.0, &mut rows),
-            "all images within half a second"
-        );
+        assert!(!zero_displacement(&scene.state, MIN_SPAN_NS, &mut rows), "all images within half a second");
         for (k, clone) in scene.state.clones.iter_mut().enumerate() {
             clone.stamp_ns = k as i64 * 100_000_000;
         }
-        assert!(zero_displacement(&scene.state, MIN_SPAN_NS, 1.0, &mut rows));
+        assert!(zero_displacement(&scene.state, MIN_SPAN_NS, &mut rows));
         let before = rows.residual.clone();
         let error = DVector::from_fn(scene.state.dim(), |k, _| 0.01 * (k as f64).sin());
         let mut expected = before.clone();
@@ -448,7 +386,7 @@ mod tests {
             "the newest and the one 0.5 s before"
         );
         scene.state.retract(&error);
-        assert!(zero_displacement(&scene.state, MIN_SPAN_NS, 1.0, &mut rows));
+        assert!(zero_displacement(&scene.state, MIN_SPAN_NS, &mut rows));
         for (value, expected) in rows.residual.iter().zip(&expected) {
             assert!((value - expected).abs() < 1e-9, "{value} {expected}");
         }
