@@ -161,20 +161,19 @@ impl Turns {
 
     /// The one of those that a frame is of that has waited longest.
     fn next(&mut self, frame: &Frame) -> Option<usize> {
-        let is_there = |at: &usize| {
-            if self.with_features { frame.features.contains_key(at) } else { frame.images.contains_key(at) }
-        };
-        let place = self.waiting.iter().position(is_there)?;
+        let place = self.waiting.iter().position(|at| is_usable(frame, *at, self.with_features))?;
         let camera = self.waiting.remove(place);
         self.waiting.push(camera);
         Some(camera)
     }
 }
 
-/// Which frames of a recording can be localized by camera 0.
-fn usable(sequence: &Sequence) -> impl Fn(&Frame) -> bool + use<> {
-    let with_features = sequence.has_features();
-    move |frame| if with_features { frame.features.contains_key(&0) } else { frame.images.contains_key(&0) }
+/// Whether a frame can be localized by a camera.
+///
+/// # Arguments
+/// * `with_features`: the recording has features; else images.
+fn is_usable(frame: &Frame, camera: usize, with_features: bool) -> bool {
+    if with_features { frame.features.contains_key(&camera) } else { frame.images.contains_key(&camera) }
 }
 
 /// Reads an image that must have the size of its camera's.
@@ -215,9 +214,9 @@ fn nearest_frame(sequence: &Sequence, at_s: f64) -> Result<(&Frame, f64)> {
     if !(0.0..=end_s).contains(&at_s) {
         bail!("--at {at_s}: {root} has frames from 0 to {end_s:.3} s");
     }
-    let is_usable = usable(sequence);
+    let with_features = sequence.has_features();
     let distance = |frame: &&Frame| (seconds(frame) - at_s).abs();
-    let usable = sequence.frames.iter().filter(|frame| is_usable(frame));
+    let usable = sequence.frames.iter().filter(|frame| is_usable(frame, 0, with_features));
     let nearest = usable.min_by(|a, b| distance(a).total_cmp(&distance(b)));
     let frame = nearest.with_context(|| format!("{root} has neither features nor images of camera 0"))?;
     Ok((frame, seconds(frame)))

@@ -12,6 +12,7 @@
 //! | `median` | [`median()`] |
 //! | `geodetic` | [`Geodetic`], [`EnuFrame`]: positions on the earth, east, north and up of one of them |
 //! | `level` | [`tilt_beyond_limit_deg`]: whether the z axis of a map is vertical |
+//! | `viewpoint` | [`Viewpoint`]: where a camera is and where it looks |
 //! | [`numeric`] | numeric Jacobians for tests |
 //!
 //! # Conventions
@@ -36,6 +37,7 @@ pub mod robust;
 pub mod rotation;
 pub mod triangulation;
 pub mod uncertain_pose;
+mod viewpoint;
 
 pub use camera::{
     Camera, CameraError, Distortion, IntrinsicsJacobian, MAX_INTRINSICS, ProjectionError, check_mount,
@@ -52,3 +54,4 @@ pub use triangulation::{
     Triangulated, TriangulationError, TriangulationOptions, View, reprojection_error, triangulate,
 };
 pub use uncertain_pose::{PoseWithCovariance, compose_jacobians, inverse_jacobian};
+pub use viewpoint::Viewpoint;

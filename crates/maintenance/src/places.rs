@@ -7,8 +7,8 @@
 
 use std::collections::BTreeMap;
 
+use geometry::Viewpoint;
 use map::Keyframe;
-use nalgebra::Vector3;
 
 use crate::position_grid::PositionGrid;
 use crate::settings::Settings;
@@ -26,7 +26,7 @@ pub(crate) struct Place {
 /// # Arguments
 /// * `keyframes`: in the order of their ids, by which they entered the map.
 pub(crate) fn places(keyframes: &[Keyframe], settings: &Settings) -> Vec<Place> {
-    let views: Vec<View> = keyframes.iter().map(View::of).collect();
+    let views: Vec<Viewpoint> = keyframes.iter().map(Keyframe::viewpoint).collect();
     let mut middles = Middles { settings, views: &views, grid: PositionGrid::new(settings.place_m) };
     for (at, view) in views.iter().enumerate() {
         if middles.around(view).next().is_none() {
@@ -41,23 +41,10 @@ pub(crate) fn places(keyframes: &[Keyframe], settings: &Settings) -> Vec<Place> 
     places.into_iter().map(|(middle, keyframes)| Place { middle, keyframes }).collect()
 }
 
-/// Where a keyframe is, in G (m), and its optical axis.
-struct View {
-    position: Vector3<f64>,
-    axis: Vector3<f64>,
-}
-
-impl View {
-    fn of(keyframe: &Keyframe) -> View {
-        let pose = &keyframe.global_from_keyframe.pose;
-        View { position: pose.translation, axis: pose.rotation * Vector3::z() }
-    }
-}
-
 /// The middles of places, by cubes with the radius of a place as their side.
 struct Middles<'a> {
     settings: &'a Settings,
-    views: &'a [View],
+    views: &'a [Viewpoint],
     grid: PositionGrid<usize>,
 }
 
@@ -67,7 +54,7 @@ impl Middles<'_> {
     }
 
     /// Those within the radius of a place, with their distance in radii: the larger one of distance and angle.
-    fn around(&self, view: &View) -> impl Iterator<Item = (usize, f64)> {
+    fn around(&self, view: &Viewpoint) -> impl Iterator<Item = (usize, f64)> {
         let (position, axis) = (view.position, view.axis);
         self.grid.around(&position).filter_map(move |&other| {
             let of = &self.views[other];

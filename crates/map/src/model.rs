@@ -6,8 +6,8 @@
 //! the map is re-optimized. Pose errors are `[δθ, δp]` in the parent frame G (radians, metres).
 
 use geometry::camera::Camera;
-use geometry::is_coordinate;
 use geometry::uncertain_pose::PoseWithCovariance;
+use geometry::{Viewpoint, is_coordinate};
 use nalgebra::{Matrix6, Matrix6xX, Vector2, Vector3};
 use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
@@ -101,6 +101,11 @@ pub struct Keyframe {
 }
 
 impl Keyframe {
+    /// Where its camera is and where it looks, in G.
+    pub fn viewpoint(&self) -> Viewpoint {
+        Viewpoint::of(&self.global_from_keyframe.pose)
+    }
+
     /// A point in the keyframe's camera frame (m): on the ray of the pixel where the keyframe observes it, at the depth that the poses
     /// give.
     ///

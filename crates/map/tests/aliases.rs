@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use map::contents::AliasProblem;
 use map::{Alias, ContentsError, KeyframeAliases, MapContents, edit, store};
-use testing::{Place, PlaceOptions, add_aliases};
+use nalgebra::Vector3;
+use testing::{Place, PlaceOptions, add_aliases, add_copy_beside};
 
 fn place(is_searched: bool) -> MapContents {
     let options = PlaceOptions { keyframes: 8, landmarks: 80, ..PlaceOptions::default() };
@@ -79,20 +80,8 @@ fn those_of_keyframes_that_are_taken_out_go_with_them() {
 /// Two copies of a place side by side, of each of which each keyframe looks like that of the other.
 fn repeated_place() -> MapContents {
     let place = Place::new(&PlaceOptions { keyframes: 6, landmarks: 3000, ..PlaceOptions::default() });
-    let mut map = place.map.clone();
-    for keyframe in &place.map.keyframes {
-        let mut copy = keyframe.clone();
-        copy.id += 100;
-        copy.global_from_keyframe.pose.translation.y += 50.0;
-        map.keyframes.push(copy);
-    }
-    for landmark in &place.map.landmarks {
-        let mut copy = landmark.clone();
-        copy.id += 1_000_000;
-        copy.anchor += 100;
-        copy.observations.iter_mut().for_each(|observation| observation.keyframe += 100);
-        map.landmarks.push(copy);
-    }
+    let mut map = place.map;
+    add_copy_beside(&mut map, Vector3::new(0.0, 50.0, 0.0), [100, 1_000_000]);
     let ids: Vec<u64> = map.keyframes.iter().map(|keyframe| keyframe.id).collect();
     let alias = |id: u64| KeyframeAliases {
         keyframe: id,

@@ -71,7 +71,8 @@ fn find_aliases_in(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use testing::{Place, PlaceOptions};
+    use nalgebra::Vector3;
+    use testing::{Place, PlaceOptions, add_copy_beside};
 
     #[test]
     fn a_map_that_cannot_be_searched_keeps_its_aliases() {
@@ -98,19 +99,7 @@ mod tests {
 
         // The same place once more, 50 m beside it.
         let mut both = once.clone();
-        for keyframe in &place.map.keyframes {
-            let mut copy = keyframe.clone();
-            copy.id += 100;
-            copy.global_from_keyframe.pose.translation.y += 50.0;
-            both.keyframes.push(copy);
-        }
-        for landmark in &place.map.landmarks {
-            let mut copy = landmark.clone();
-            copy.id += 1_000_000;
-            copy.anchor += 100;
-            copy.observations.iter_mut().for_each(|observation| observation.keyframe += 100);
-            both.landmarks.push(copy);
-        }
+        add_copy_beside(&mut both, Vector3::new(0.0, 50.0, 0.0), [100, 1_000_000]);
         searched.clear();
         find_aliases(&mut both, &mut |stage, done, of| searched.push((stage, done, of))).unwrap();
         assert_eq!(searched.last(), Some(&(Stage::Aliasing, 12, 12)));

@@ -94,8 +94,9 @@ pub(super) fn pairs(
     views: &[KeyframeView<'_>],
     options: &BuildOptions,
 ) -> Vec<(ImageId, ImageId)> {
-    let mut pairs: BTreeSet<(ImageId, ImageId)> = pairs_in_time(rig, views, options).into_iter().collect();
     let images = images(rig, views);
+    let mut pairs: BTreeSet<(ImageId, ImageId)> =
+        neighbours_in_time(&images, options.time_neighbours).into_iter().collect();
     for own in &images {
         let mut near_in_space: Vec<(f64, ImageId)> = images
             .iter()

@@ -92,8 +92,7 @@ impl SearchedMap {
     }
 
     fn repeating(&self) -> f64 {
-        let rate = self.0.aliasing_rate();
-        if rate.views > 0.0 { rate.aliased / rate.views } else { 0.0 }
+        self.0.aliasing_rate().part_aliased()
     }
 
     /// The keyframes of the place that an image shows and no other, see [`LoadedMap::weighed_places`].

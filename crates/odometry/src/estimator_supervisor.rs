@@ -339,10 +339,8 @@ mod tests {
         GnssReading { stamp_ns, position: Vector3::x() * x, covariance: Matrix3::identity() * 1e-4 }
     }
 
-    #[test]
-    fn what_all_filters_of_a_run_did_with_gnss_is_counted_together() {
-        let mut config = EstimatorConfig::default();
-        config.gnss = Some(GnssConfig::default());
+    /// One camera, and a start at rest.
+    fn at_rest() -> (Vec<CalibratedCamera>, InitialState) {
         let (focal, centre) = ([400.0; 2], [320.0, 240.0]);
         let camera = Camera { width: 640, height: 480, focal, centre, distortion: Distortion::None };
         let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
@@ -353,6 +351,14 @@ mod tests {
             accelerometer_bias: Vector3::zeros(),
         };
         let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-4 };
+        (rig, initial)
+    }
+
+    #[test]
+    fn what_all_filters_of_a_run_did_with_gnss_is_counted_together() {
+        let mut config = EstimatorConfig::default();
+        config.gnss = Some(GnssConfig::default());
+        let (rig, initial) = at_rest();
         let filter = || Estimator::new(config.clone(), rig.clone(), &initial).unwrap();
         let mut supervisor = EstimatorSupervisor::running(filter(), rig.clone());
         supervisor.gnss(position(1, f64::NAN));
@@ -381,16 +387,7 @@ mod tests {
             config.wheels = Some(wheels);
             config
         };
-        let (focal, centre) = ([400.0; 2], [320.0, 240.0]);
-        let camera = Camera { width: 640, height: 480, focal, centre, distortion: Distortion::None };
-        let rig = vec![CalibratedCamera::new(camera, Pose::identity())];
-        let imu = ImuState {
-            local_from_imu: Pose::identity(),
-            velocity: Vector3::zeros(),
-            gyroscope_bias: Vector3::zeros(),
-            accelerometer_bias: Vector3::zeros(),
-        };
-        let initial = InitialState { stamp_ns: 0, imu, covariance: ImuMatrix::identity() * 1e-4 };
+        let (rig, initial) = at_rest();
         let learned = Estimator::new(config(1e-4), rig.clone(), &initial).unwrap();
         let mut supervisor = EstimatorSupervisor::initializing(config(0.02), rig);
         supervisor.learned_wheels = learned.learned_wheels();

@@ -1,11 +1,10 @@
 //! The comparison of an image with candidates, as far as it is needed.
 
-use geometry::PoseWithCovariance;
+use geometry::{PoseWithCovariance, Viewpoint};
 use protocol::MatchOutcome;
 use vision::Matcher;
 
 use super::consensus::{agree, is_consistent};
-use super::elements::Viewpoint;
 use super::evidence::OTHER_PLACE;
 use super::index::Votes;
 use super::loaded_map::LoadedMap;

@@ -188,26 +188,7 @@ fn difference_covariance(
     let (b_by_keyframe, b_by_camera) = compose_jacobians(&other.global_from_keyframe.pose, &b.1.pose);
     let of_pixels = a_by_camera * a.1.covariance * a_by_camera.transpose()
         + b_by_camera * b.1.covariance * b_by_camera.transpose();
-    let (own_covariance, other_covariance) =
-        (own.global_from_keyframe.covariance, other.global_from_keyframe.covariance);
-    let cross = if own.id == other.id {
-        own_covariance
-    } else {
-        map.joint_covariance(own.id, other.id).unwrap_or_default()
-    };
-    let cross = a_by_keyframe * cross * b_by_keyframe.transpose();
-    let of_keyframes = a_by_keyframe * own_covariance * a_by_keyframe.transpose()
-        + b_by_keyframe * other_covariance * b_by_keyframe.transpose()
-        - cross
-        - cross.transpose();
-    of_pixels + positive_part(&of_keyframes)
-}
-
-/// A symmetric matrix without its negative eigenvalues: single blocks of a joint covariance are rounded.
-pub(crate) fn positive_part(matrix: &Matrix6<f64>) -> Matrix6<f64> {
-    let mut eigen = matrix.symmetric_eigen();
-    eigen.eigenvalues.apply(|value| *value = value.max(0.0));
-    eigen.recompose()
+    of_pixels + map.covariance_of_sum((own, &a_by_keyframe), (other, &-b_by_keyframe))
 }
 
 /// Whether two estimates of one camera pose whose errors are independent are consistent: chi-square test of their difference.
@@ -352,15 +333,5 @@ mod tests {
         assert!(!rivals(Some(&prior_at(0.0))));
         // Nothing that explains less makes up for a first place that the prior does not support.
         assert!(rivals(Some(&prior_at(3.0))) && rivals(Some(&prior_at(1.5))));
-    }
-
-    #[test]
-    fn the_positive_part_of_a_covariance_is_itself() {
-        let root = Matrix6::from_fn(|row, column| ((3 * row + 5 * column) % 7) as f64 - 2.0);
-        let covariance = root * root.transpose();
-        assert!((positive_part(&covariance) - covariance).norm() < 1e-9 * covariance.norm());
-        let diagonal = Matrix6::from_diagonal(&Vector6::new(1.0, -2.0, 3.0, 0.0, -1e-9, 4.0));
-        let expected = Matrix6::from_diagonal(&Vector6::new(1.0, 0.0, 3.0, 0.0, 0.0, 4.0));
-        assert!((positive_part(&diagonal) - expected).norm() < 1e-12);
     }
 }

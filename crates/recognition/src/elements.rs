@@ -3,28 +3,11 @@
 //! A map has some five observations a landmark and hundreds a keyframe: one allocation each would take more memory than
 //! what it holds.
 
-use geometry::Pose;
 use map::model::{Keyframe, Landmark, Observation};
 use nalgebra::Vector3;
 use protocol::LandmarkId;
 use serde::{Deserialize, Serialize};
 use vision::DescriptorError;
-
-/// Where a camera is and where it looks: what a search near a prior reads of every keyframe.
-#[derive(Serialize, Deserialize)]
-pub(crate) struct Viewpoint {
-    /// In G (m).
-    pub(crate) position: Vector3<f64>,
-    /// The optical axis in G, a unit vector.
-    pub(crate) axis: Vector3<f64>,
-}
-
-impl Viewpoint {
-    pub(crate) fn of(global_from_camera: &Pose) -> Viewpoint {
-        let axis = global_from_camera.rotation * Vector3::z();
-        Viewpoint { position: global_from_camera.translation, axis }
-    }
-}
 
 /// All landmarks of a map without their descriptors, and which keyframes observe each.
 #[derive(Default, Serialize, Deserialize)]

@@ -5,7 +5,7 @@ use map::model::{CommonError, Keyframe};
 use serde::{Deserialize, Serialize};
 
 use super::cross_covariances::CrossCovariances;
-use super::elements::Viewpoint;
+use geometry::Viewpoint;
 
 /// The keyframes of a map with the joint covariance of their poses.
 #[derive(Default, Serialize, Deserialize)]
@@ -33,9 +33,8 @@ impl MapPoses {
         }
         keyframes.shrink_to_fit();
         common_errors.shrink_to_fit();
-        let viewpoint = |keyframe: &Keyframe| Viewpoint::of(&keyframe.global_from_keyframe.pose);
         MapPoses {
-            viewpoints: keyframes.iter().map(viewpoint).collect(),
+            viewpoints: keyframes.iter().map(Keyframe::viewpoint).collect(),
             keyframes,
             cross_covariances: CrossCovariances::new(std::mem::take(&mut contents.cross_covariances)),
             common_errors,

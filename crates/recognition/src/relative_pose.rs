@@ -1,32 +1,51 @@
 //! Poses of keyframes relative to each other.
 
 use geometry::{PoseWithCovariance, compose_jacobians, inverse_jacobian};
+use map::Keyframe;
+use nalgebra::Matrix6;
 use protocol::KeyframeId;
 
-use super::consensus::positive_part;
 use super::loaded_map::LoadedMap;
 
 impl LoadedMap {
     /// The pose of a keyframe in the frame of another one (rad, m), with the covariance of the errors of both: those that they share
     /// cancel. `None` where the map lacks one of them.
     pub fn relative_pose(&self, from: KeyframeId, to: KeyframeId) -> Option<PoseWithCovariance> {
-        let [a, b] = [self.keyframe(from)?, self.keyframe(to)?].map(|keyframe| keyframe.global_from_keyframe);
-        let a_from_global = a.pose.inverse();
-        let (by_inverse, by_b) = compose_jacobians(&a_from_global, &b.pose);
-        let by_a = by_inverse * inverse_jacobian(&a.pose);
-        let cross = by_a * self.joint_covariance(from, to).unwrap_or_default() * by_b.transpose();
-        let covariance = by_a * a.covariance * by_a.transpose()
-            + by_b * b.covariance * by_b.transpose()
-            + cross
-            + cross.transpose();
-        Some(PoseWithCovariance::new(a_from_global.compose(&b.pose), positive_part(&covariance)))
+        let [a, b] = [self.keyframe(from)?, self.keyframe(to)?];
+        let [a_pose, b_pose] = [a, b].map(|keyframe| &keyframe.global_from_keyframe.pose);
+        let a_from_global = a_pose.inverse();
+        let (by_inverse, by_b) = compose_jacobians(&a_from_global, b_pose);
+        let by_a = by_inverse * inverse_jacobian(a_pose);
+        let covariance = self.covariance_of_sum((a, &by_a), (b, &by_b));
+        Some(PoseWithCovariance::new(a_from_global.compose(b_pose), covariance))
     }
+
+    /// Covariance of `J_a e_a + J_b e_b`, where the poses of two keyframes of the map err by `e_a` and `e_b`.
+    pub(crate) fn covariance_of_sum(
+        &self,
+        (a, by_a): (&Keyframe, &Matrix6<f64>),
+        (b, by_b): (&Keyframe, &Matrix6<f64>),
+    ) -> Matrix6<f64> {
+        let [of_a, of_b] = [a, b].map(|keyframe| keyframe.global_from_keyframe.covariance);
+        let cross = if a.id == b.id { of_a } else { self.joint_covariance(a.id, b.id).unwrap_or_default() };
+        let cross = by_a * cross * by_b.transpose();
+        positive_part(
+            &(by_a * of_a * by_a.transpose() + by_b * of_b * by_b.transpose() + cross + cross.transpose()),
+        )
+    }
+}
+
+/// A symmetric matrix without its negative eigenvalues: single blocks of a joint covariance are rounded.
+fn positive_part(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    let mut eigen = matrix.symmetric_eigen();
+    eigen.eigenvalues.apply(|value| *value = value.max(0.0));
+    eigen.recompose()
 }
 
 #[cfg(test)]
 mod tests {
     use map::CommonError;
-    use nalgebra::{Matrix6, Matrix6xX, Vector6};
+    use nalgebra::{Matrix6xX, Vector6};
     use testing::{Place, PlaceOptions};
 
     use super::*;
@@ -76,5 +95,15 @@ mod tests {
             + cross.transpose();
         let stated = map.relative_pose(ids[0], ids[1]).unwrap().covariance;
         assert!((stated - expected).norm() < 1e-5 * expected.norm(), "{stated} {expected}");
+    }
+
+    #[test]
+    fn the_positive_part_of_a_covariance_is_itself() {
+        let root = Matrix6::from_fn(|row, column| ((3 * row + 5 * column) % 7) as f64 - 2.0);
+        let covariance = root * root.transpose();
+        assert!((positive_part(&covariance) - covariance).norm() < 1e-9 * covariance.norm());
+        let diagonal = Matrix6::from_diagonal(&Vector6::new(1.0, -2.0, 3.0, 0.0, -1e-9, 4.0));
+        let expected = Matrix6::from_diagonal(&Vector6::new(1.0, 0.0, 3.0, 0.0, 0.0, 4.0));
+        assert!((positive_part(&diagonal) - expected).norm() < 1e-12);
     }
 }

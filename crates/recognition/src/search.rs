@@ -1,13 +1,12 @@
 //! The search for the place of an image: near the prior first, else in the whole map.
 
-use geometry::{Camera, PoseWithCovariance};
+use geometry::{Camera, PoseWithCovariance, Viewpoint};
 use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchOutcome, PosePrior, PossiblePlace};
 use vision::{DescriptorError, DescriptorView};
 
 use super::comparisons::{Comparisons, Ranking, Sufficient};
 use super::consensus::{Consensus, find_consensus, group_places, support};
-use super::elements::Viewpoint;
 use super::evidence::coverage;
 use super::index::{LandmarkSet, Votes, best_voted};
 use super::loaded_map::LoadedMap;

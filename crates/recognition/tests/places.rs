@@ -7,7 +7,7 @@ use protocol::{MatchOutcome, Validate};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, RecognitionOptions};
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, add_copy_beside};
 
 #[test]
 fn nearly_every_image_is_recognized_where_it_was_taken() {
@@ -107,20 +107,7 @@ fn an_image_of_another_place_matches_nothing() {
 fn twin_halls() -> (Place, LoadedMap) {
     let place = Place::new(&PlaceOptions { keyframes: 10, landmarks: 600, ..PlaceOptions::default() });
     let mut contents = place.map.clone();
-    let there = Vector3::new(0.0, 500.0, 0.0);
-    for mut keyframe in place.map.keyframes.clone() {
-        keyframe.id += 1000;
-        keyframe.global_from_keyframe.pose.translation += there;
-        contents.keyframes.push(keyframe);
-    }
-    for mut landmark in place.map.landmarks.clone() {
-        landmark.id += 100_000;
-        landmark.anchor += 1000;
-        for observation in &mut landmark.observations {
-            observation.keyframe += 1000;
-        }
-        contents.landmarks.push(landmark);
-    }
+    add_copy_beside(&mut contents, Vector3::new(0.0, 500.0, 0.0), [1000, 100_000]);
     let map = LoadedMap::from_contents(contents).unwrap();
     (place, map)
 }

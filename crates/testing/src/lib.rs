@@ -316,6 +316,25 @@ impl Place {
     }
 }
 
+/// Adds a copy of a map's keyframes and landmarks to it, so far from them in G (m): another place that looks alike.
+///
+/// # Arguments
+/// * `further`: what the ids of keyframes and of landmarks are larger by.
+pub fn add_copy_beside(map: &mut MapContents, beside: Vector3<f64>, further: [u64; 2]) {
+    let [of_keyframes, of_landmarks] = further;
+    for mut keyframe in map.keyframes.clone() {
+        keyframe.id += of_keyframes;
+        keyframe.global_from_keyframe.pose.translation += beside;
+        map.keyframes.push(keyframe);
+    }
+    for mut landmark in map.landmarks.clone() {
+        landmark.id += of_landmarks;
+        landmark.anchor += of_keyframes;
+        landmark.observations.iter_mut().for_each(|observation| observation.keyframe += of_keyframes);
+        map.landmarks.push(landmark);
+    }
+}
+
 /// A random 256-bit descriptor.
 pub fn descriptor(rng: &mut StdRng) -> Vec<u8> {
     (0..DESCRIPTOR_BYTES).map(|_| rng.random::<u8>()).collect()

@@ -1,7 +1,7 @@
 //! What is different between two versions of a map, whatever drives saw of it.
 
 use geometry::uncertain_pose::isotropic_covariance;
-use geometry::{Pose, PoseWithCovariance};
+use geometry::{Pose, PoseWithCovariance, Viewpoint};
 use map::Keyframe;
 use map::difference::{MapDifference, PLACE_SIZE_M};
 use nalgebra::Vector3;
@@ -78,13 +78,11 @@ pub struct MapFigures {
 
 impl MapFigures {
     fn of(map: &LoadedMap) -> Self {
-        let rate = map.aliasing_rate();
-        let aliased = if rate.views > 0.0 { rate.aliased / rate.views } else { 0.0 };
         Self {
             version: map.info().version,
             keyframes: map.keyframe_count(),
             landmarks: map.landmark_count(),
-            aliased,
+            aliased: map.aliasing_rate().part_aliased(),
         }
     }
 }
@@ -141,21 +139,21 @@ impl Structure {
     }
 
     fn look_for_emptied(&mut self, live: &LoadedMap, candidate: &LoadedMap) {
-        let mut places: BTreeMap<([i64; 3], i64), Vec<View>> = BTreeMap::new();
+        let mut places: BTreeMap<([i64; 3], i64), Vec<Viewpoint>> = BTreeMap::new();
         for keyframe in live.keyframes() {
-            let view = View::of(keyframe);
-            places.entry((cube_of(&view.position), view.direction())).or_default().push(view);
+            let view = keyframe.viewpoint();
+            places.entry((cube_of(&view.position), direction_of(&view.axis))).or_default().push(view);
         }
         self.places = places.len();
         // Where what is seen is far away, keyframes that are far apart show the same.
         let reach = (0.5 * PLACE_SIZE_M).max(0.5 * live.viewing_distance());
-        let views: Vec<View> = candidate.keyframes().map(View::of).collect();
+        let views: Vec<Viewpoint> = candidate.keyframes().map(Keyframe::viewpoint).collect();
         for ((cube, _), former) in places {
-            let mean = |of: &dyn Fn(&View) -> Vector3<f64>| {
+            let mean = |of: &dyn Fn(&Viewpoint) -> Vector3<f64>| {
                 former.iter().map(of).sum::<Vector3<f64>>() / former.len() as f64
             };
             let (centre, axis) = (mean(&|view| view.position), mean(&|view| view.axis).normalize());
-            let is_left = |view: &View| {
+            let is_left = |view: &Viewpoint| {
                 let is_near = (view.position - centre).norm() <= reach || cube_of(&view.position) == cube;
                 is_near && view.axis.dot(&axis) >= SAME_DIRECTION
             };
@@ -166,25 +164,12 @@ impl Structure {
     }
 }
 
-/// Where a keyframe is (m) and where it looks, in G.
-struct View {
-    position: Vector3<f64>,
-    axis: Vector3<f64>,
-}
-
-impl View {
-    fn of(keyframe: &Keyframe) -> Self {
-        let pose = &keyframe.global_from_keyframe.pose;
-        Self { position: pose.translation, axis: pose.rotation * Vector3::z() }
+/// Number of a direction of view: one of four to the sides, up, or down.
+fn direction_of(axis: &Vector3<f64>) -> i64 {
+    if axis.z.abs() > STEEP {
+        return if axis.z > 0.0 { i64::MAX } else { i64::MIN };
     }
-
-    /// Number of its direction: one of four to the sides, up, or down.
-    fn direction(&self) -> i64 {
-        if self.axis.z.abs() > STEEP {
-            return if self.axis.z > 0.0 { i64::MAX } else { i64::MIN };
-        }
-        (self.axis.y.atan2(self.axis.x) / std::f64::consts::TAU * DIRECTIONS).floor() as i64
-    }
+    (axis.y.atan2(axis.x) / std::f64::consts::TAU * DIRECTIONS).floor() as i64
 }
 
 /// The keyframes of a cube that both maps have.

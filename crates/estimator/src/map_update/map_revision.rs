@@ -18,8 +18,9 @@
 //! ```text
 //! a = sum of M_j d_j + sum of M_j e'_j + u
 //! ```
-//! The first sum is known, and the state is corrected by it. (`M` is that of the map's stated covariance, divided by its inflation.) A robot that was localized by keyframes that stayed where they were is not
-//! corrected and does not become less certain; one that was localized by those of the corner moves with them.
+//! The first sum is known, and the state is corrected by it. (`M` is that of the map's stated covariance, divided by its inflation.)
+//! A robot that was localized by keyframes that stayed where they were is not corrected and does not become less certain; one that
+//! was localized by those of the corner moves with them.
 //!
 //! What held keyframes do not explain (those that were removed, evicted, or changed before, and what else is known of
 //! `global_from_local`) is the remainder of a law: where the whole map moves by `m`, `global_from_local` does, too. With the errors

@@ -1,6 +1,6 @@
 //! Changing a map by hand: keyframes and landmarks are taken out, what stays keeps its ids and poses.
 
-mod alias_heirs;
+mod alias_neighbours;
 mod part;
 mod redundancy;
 
@@ -55,7 +55,7 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
 /// # Ok::<(), map::ContentsError>(())
 /// ```
 pub fn remove_keyframes(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
-    alias_heirs::hand_on_aliases(contents, removed);
+    alias_neighbours::name_neighbours(contents, removed);
     let stays = |keyframe: KeyframeId| !removed.contains(&keyframe);
     let mut keyframes = std::mem::take(&mut contents.keyframes);
     let observers = by_id(&keyframes);

@@ -54,6 +54,11 @@ impl AliasingRate {
         MOVED + (1.0 - MOVED) * repeats
     }
 
+    /// Part of the views that could be taken for another place.
+    pub fn part_aliased(&self) -> f64 {
+        if self.views > 0.0 { self.aliased / self.views } else { 0.0 }
+    }
+
     /// Natural logarithm of the odds of the right place over one that looks alike, before an image is seen.
     pub fn log_odds(&self) -> f64 {
         -self.chance().ln()

@@ -1,10 +1,9 @@
 //! Where a camera should see the landmarks of a map from a pose.
 
-use geometry::{Camera, Pose};
+use geometry::{Camera, Pose, Viewpoint};
 use nalgebra::{Vector2, Vector3};
 use std::ops::RangeInclusive;
 
-use crate::elements::Viewpoint;
 use crate::loaded_map::LoadedMap;
 use crate::verification::VerifiedKeyframe;
 

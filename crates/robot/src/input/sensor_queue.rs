@@ -144,7 +144,7 @@ impl<'a> SensorQueue<'a> {
         self.frames.back().map(|frame| frame.stamp_ns)
     }
 
-    /// How many frames were dropped since the last call, as there were no readings for them.
+    /// Takes the frames that were dropped since the last call, as there were no readings for them.
     pub(crate) fn take_dropped_frames(&mut self) -> Vec<Frame> {
         std::mem::take(&mut self.dropped_frames)
     }

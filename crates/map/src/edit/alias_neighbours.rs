@@ -16,7 +16,7 @@ type Shared = BTreeMap<KeyframeId, BTreeMap<KeyframeId, usize>>;
 /// like the other one as before.
 ///
 /// One that shows a landmark of the aliased keyframe, too, is of its own place and is none.
-pub(super) fn hand_on_aliases(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
+pub(super) fn name_neighbours(contents: &mut MapContents, removed: &BTreeSet<KeyframeId>) {
     let stays = |keyframe: &KeyframeId| !removed.contains(keyframe);
     let mut concerned: BTreeSet<KeyframeId> = BTreeSet::new();
     for aliases in contents.aliases.iter().filter(|aliases| stays(&aliases.keyframe)) {
@@ -36,14 +36,14 @@ pub(super) fn hand_on_aliases(contents: &mut MapContents, removed: &BTreeSet<Key
         let sees_the_same = of_one_place(shared.get(&aliases.keyframe).unwrap_or(&none), aliases.keyframe);
         for place in aliases.places.iter_mut().filter(|place| !stays(&place.keyframe)) {
             let others = of_one_place(shared.get(&place.keyframe).unwrap_or(&none), place.keyframe);
-            let heirs = others.iter().filter(|(keyframe, _)| {
+            let neighbours = others.iter().filter(|(keyframe, _)| {
                 stays(keyframe) && **keyframe != aliases.keyframe && !sees_the_same.contains_key(keyframe)
             });
             // Of equal ones the first.
-            if let Some((heir, _)) =
-                heirs.max_by_key(|(keyframe, count)| (**count, std::cmp::Reverse(**keyframe)))
+            if let Some((neighbour, _)) =
+                neighbours.max_by_key(|(keyframe, count)| (**count, std::cmp::Reverse(**keyframe)))
             {
-                place.keyframe = *heir;
+                place.keyframe = *neighbour;
             }
         }
         // The strongest of each place is first.
