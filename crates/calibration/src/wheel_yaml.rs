@@ -30,6 +30,7 @@ struct WheelsYaml {
     track: Option<f64>,
     wheelbase: Option<f64>,
     reach: Option<f64>,
+    sideways_scale: Option<f64>,
     #[serde(default)]
     steering_offset: f64,
     noise: Option<f64>,
@@ -45,7 +46,8 @@ struct WheelsYaml {
 /// |---|---|
 /// | `differential` (also without `base`) | `radius_left`, `radius_right`, or `radius`; `track` |
 /// | `ackermann` | `radius`, `wheelbase`; `steering_offset` (rad) where it is known |
-/// | `mecanum`, `omni3`, `omni4` | `radii`, or `radius`; `reach` |
+/// | `mecanum`, `omni3` | `radii`, or `radius`; `reach`; `sideways_scale` (a ratio) where it is known |
+/// | `omni4` | `radii`, or `radius`; `reach` |
 ///
 /// # Errors
 /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
@@ -100,6 +102,9 @@ pub fn text_of_wheels(wheels: &WheelSensor) -> String {
             writeln!(text, "radii: {radii:?}\nreach: {size}")
         }
     };
+    if let WheelBase::Mecanum { sideways_scale, .. } | WheelBase::Omni3 { sideways_scale, .. } = *base {
+        let _ = writeln!(text, "sideways_scale: {sideways_scale}");
+    }
     for (name, sigma) in [("noise", wheels.sigma_speed_rad_s), ("angle_noise", wheels.sigma_angle_rad)] {
         let _ = sigma.map_or(Ok(()), |sigma| writeln!(text, "{name}: {sigma}"));
     }
@@ -129,6 +134,13 @@ impl WheelsYaml {
         if let WheelBase::Ackermann { steering_offset_rad, .. } = &mut base {
             *steering_offset_rad = self.steering_offset;
         }
+        if let Some(scale) = self.sideways_scale {
+            check_positive(path, "sideways_scale", scale)?;
+            if !base.set_sideways_scale(scale) {
+                let problem = format!("a {} base has no sideways_scale; mecanum and omni3 have", self.base);
+                return Err(CalibrationError::entry(path, problem));
+            }
+        }
         Ok(base)
     }
 
@@ -155,6 +167,7 @@ mod tests {
         for kind in BaseKind::ALL {
             let mut base = WheelBase::new(kind, 0.25, 0.5);
             base.add(&[0.125, -0.125, 0.25]);
+            base.set_sideways_scale(0.875);
             let written =
                 WheelSensor { sigma_speed_rad_s: Some(0.03), ..WheelSensor::new(base, imu_from_base) };
             let found = read(&text_of_wheels(&written)).unwrap();
@@ -175,6 +188,8 @@ mod tests {
             ("base: ackermann\nradius: 0.3", "wheelbase is missing"),
             ("base: mecanum\nreach: 0.4", "radius is missing"),
             ("base: omni3\nreach: 0.4\nradii: [0.1, 0.1]", "a omni3 base has 3 radii"),
+            ("base: omni4\nreach: 0.4\nradius: 0.1\nsideways_scale: 0.9", "has no sideways_scale"),
+            ("base: mecanum\nreach: 0.4\nradius: 0.1\nsideways_scale: 0", "sideways_scale is 0"),
             ("radius: -0.3\ntrack: 0.5", "radius_left_m is -0.3"),
             ("radius: 0.3\ntrack: 0.5\ncounts_per_revolution: -4", "-4 counts per revolution"),
         ] {

@@ -121,15 +121,13 @@ pub enum WheelBase {
         #[serde(default = "all_of_the_way")]
         sideways_scale: f64,
     },
-    /// Four omni wheels, 90 degrees apart. The origin is in their middle, the x axis goes through the first one.
+    /// Four omni wheels, 90 degrees apart. The origin is in their middle, the x axis goes through the first one. The first and the
+    /// third one make the way to the side: what is lost of it is in their radii.
     Omni4 {
         /// Radii, counterclockwise from the first one.
         radii_m: [f64; 4],
         /// Distance of the wheels from the origin.
         reach_m: f64,
-        /// Way to the side, of that which the wheels turn.
-        #[serde(default = "all_of_the_way")]
-        sideways_scale: f64,
     },
 }
 
@@ -161,7 +159,7 @@ impl WheelBase {
                 Self::Mecanum { radii_m: [radius_m; 4], reach_m: size_m, sideways_scale: 1.0 }
             }
             BaseKind::Omni3 => Self::Omni3 { radii_m: [radius_m; 3], reach_m: size_m, sideways_scale: 1.0 },
-            BaseKind::Omni4 => Self::Omni4 { radii_m: [radius_m; 4], reach_m: size_m, sideways_scale: 1.0 },
+            BaseKind::Omni4 => Self::Omni4 { radii_m: [radius_m; 4], reach_m: size_m },
         }
     }
 
@@ -190,9 +188,7 @@ impl WheelBase {
                 "sideways_scale",
             ],
             Self::Omni3 { .. } => &["radius_0_m", "radius_1_m", "radius_2_m", "reach_m", "sideways_scale"],
-            Self::Omni4 { .. } => {
-                &["radius_0_m", "radius_1_m", "radius_2_m", "radius_3_m", "reach_m", "sideways_scale"]
-            }
+            Self::Omni4 { .. } => &["radius_0_m", "radius_1_m", "radius_2_m", "radius_3_m", "reach_m"],
         }
     }
 
@@ -205,10 +201,10 @@ impl WheelBase {
             Self::Ackermann { radius_m, wheelbase_m, steering_offset_rad } => {
                 vec![radius_m, wheelbase_m, steering_offset_rad]
             }
-            Self::Mecanum { radii_m: [a, b, c, d], reach_m, sideways_scale }
-            | Self::Omni4 { radii_m: [a, b, c, d], reach_m, sideways_scale } => {
+            Self::Mecanum { radii_m: [a, b, c, d], reach_m, sideways_scale } => {
                 vec![a, b, c, d, reach_m, sideways_scale]
             }
+            Self::Omni4 { radii_m: [a, b, c, d], reach_m } => vec![a, b, c, d, reach_m],
             Self::Omni3 { radii_m: [a, b, c], reach_m, sideways_scale } => {
                 vec![a, b, c, reach_m, sideways_scale]
             }
@@ -232,11 +228,11 @@ impl WheelBase {
                 *steering_offset_rad += step(2);
                 (std::slice::from_mut(radius_m), wheelbase_m)
             }
-            Self::Mecanum { radii_m, reach_m, sideways_scale }
-            | Self::Omni4 { radii_m, reach_m, sideways_scale } => {
+            Self::Mecanum { radii_m, reach_m, sideways_scale } => {
                 *sideways_scale += step(radii_m.len() + 1);
                 (radii_m, reach_m)
             }
+            Self::Omni4 { radii_m, reach_m } => (radii_m, reach_m),
             Self::Omni3 { radii_m, reach_m, sideways_scale } => {
                 *sideways_scale += step(radii_m.len() + 1);
                 (radii_m, reach_m)
@@ -258,13 +254,22 @@ impl WheelBase {
         }
     }
 
-    /// Way to the side, of that which the wheels turn; one where they cannot move the base so.
+    /// Way to the side, of that which the wheels turn; one where the base has no such parameter.
     pub fn sideways_scale(&self) -> f64 {
         match *self {
-            Self::Mecanum { sideways_scale, .. }
-            | Self::Omni3 { sideways_scale, .. }
-            | Self::Omni4 { sideways_scale, .. } => sideways_scale,
-            Self::Differential { .. } | Self::Ackermann { .. } => 1.0,
+            Self::Mecanum { sideways_scale, .. } | Self::Omni3 { sideways_scale, .. } => sideways_scale,
+            Self::Differential { .. } | Self::Ackermann { .. } | Self::Omni4 { .. } => 1.0,
+        }
+    }
+
+    /// Sets the [`sideways_scale`](Self::sideways_scale); `false` where the base has no such parameter.
+    pub fn set_sideways_scale(&mut self, scale: f64) -> bool {
+        match self {
+            Self::Mecanum { sideways_scale, .. } | Self::Omni3 { sideways_scale, .. } => {
+                *sideways_scale = scale;
+                true
+            }
+            Self::Differential { .. } | Self::Ackermann { .. } | Self::Omni4 { .. } => false,
         }
     }
 
