@@ -1,11 +1,11 @@
 //! The keyframes of a map and how their errors are correlated: what all kinds of its features have in common.
 
+use geometry::Viewpoint;
 use map::contents::MapContents;
 use map::model::{CommonError, Keyframe};
 use serde::{Deserialize, Serialize};
 
 use super::cross_covariances::CrossCovariances;
-use geometry::Viewpoint;
 
 /// The keyframes of a map with the joint covariance of their poses.
 #[derive(Default, Serialize, Deserialize)]

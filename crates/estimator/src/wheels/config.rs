@@ -55,7 +55,7 @@ pub struct InitialWheelSigmas {
     pub sigma_track_fraction: f64,
     /// Offset of the steering, rad.
     pub sigma_steering_offset_rad: f64,
-    /// Scale of the way to the side, of a base that moves so.
+    /// Scale of the way to the side, of mecanum wheels and of three omni wheels.
     pub sigma_sideways_scale: f64,
     /// Orientation of the base in the IMU frame, rad.
     pub sigma_rotation_rad: f64,

@@ -9,7 +9,7 @@
 //! | omni, wheel at the angle `α` | `(1, -sin α, cos α)` | reach |
 //!
 //! The columns of these tables are orthogonal: the least-squares solution for the motion divides by the sums of their squares. Rollers slip:
-//! of the way to the side that the wheels turn, the base makes a part, its `sideways_scale`. A car's
+//! of the way to the side that the wheels turn, the base makes a part, its `sideways_scale` (of four omni wheels it is in two radii). A car's
 //! motion is `v_x = r ω_wheel`, `ω = v_x tan(δ) / L` with its wheelbase `L` and the angle `δ` of its steering.
 
 use nalgebra::{Matrix3x4, Vector3};
